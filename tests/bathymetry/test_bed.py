@@ -64,7 +64,7 @@ def depth_m(s: np.ndarray, n: np.ndarray) -> np.ndarray:
     return np.maximum(1 - (n / HALF_M) ** 2, 0) * (1.6 + 0.3 * np.sin(s / 12))
 
 
-def track(line: FlowLine, margin_m: float = 3.0, leg_m: float = 15.0, n: int = 1500) -> np.ndarray:
+def track(line: FlowLine, margin_m: float = 3.0, leg_m: float = 15.0, n: int = 900) -> np.ndarray:
     s = np.linspace(25, line.length_m - 25, n)
     phase = (s / leg_m) % 2
     across = np.where(phase < 1, 2 * phase - 1, 3 - 2 * phase) * (HALF_M - margin_m)
@@ -324,28 +324,6 @@ def test_no_bed_outside_the_banks(survey, bed) -> None:
     assert np.array_equal(np.isfinite(bands["height_m"]), known)
 
 
-def test_an_island_is_no_bed(survey) -> None:
-    _, banks, level, table = survey
-    middle = banks.line.to_map(np.array([90.0]), 0.0)[0]
-    corners = [tuple(middle + d) for d in ([-4, -4], [4, -4], [4, 4], [-4, 4])]
-    found = krige_bed(
-        table,
-        banks.line,
-        banks,
-        level,
-        None,
-        frame=FRAME,
-        crs=UTM,
-        echo=EchoSounder(beam_deg=0.0),
-        settings=Bathymetry(cell_m=1.0, islands=[corners], model="exponential", drift="none"),
-        slow_time_s=10.0,
-        seed=1,
-    )
-    at = FRAME.to_map(np.array([[*middle, 0.0]]), UTM)[:, :2]
-    row, column = found.grid.at(at)
-    assert np.isnan(found.up_m.reshape(found.grid.rows, -1)[row[0], column[0]])
-
-
 def test_left_out_lines_judge_the_methods(survey, bed) -> None:
     _, banks, _, _ = survey
     facts, predicted, methods = validate_bed(bed.data, bed.model, banks.half_widths_m, Bathymetry())
@@ -558,8 +536,9 @@ def test_model_written_and_read_is_the_same() -> None:
         assert getattr(again, name) == getattr(model, name)
 
 
-def test_a_light_sheet_that_contradicts_the_soundings_is_left_out(survey) -> None:
+def test_a_light_sheet_that_contradicts_the_soundings_is_left_out(survey, monkeypatch) -> None:
     """Points of the same bed stay; those of ground 30 cm above it go: the bed is as without them."""
+    monkeypatch.setattr("thalweg.bathymetry.variogram._STEPS", 12)
     line, banks, level, table = survey
     s, n = np.repeat(np.arange(40.0, 60.0, 0.5), 5), np.tile(np.linspace(-1.0, 1.0, 5), 40)
     xy = line.to_map(s, n)

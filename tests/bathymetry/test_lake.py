@@ -124,7 +124,9 @@ def lake(tmp_path_factory: pytest.TempPathFactory) -> tuple[Water, BedOfTable]:
     path = write_outline(tmp_path_factory.mktemp("lake") / "water.geojson", WATER)
     soundings = of_three_days()
     water = water_of(soundings, UTM, QUICK, banks=path, depths=True)
-    return water, bed_of_table(soundings, UTM, QUICK, water)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("thalweg.bathymetry.variogram._STEPS", 12)
+        return water, bed_of_table(soundings, UTM, QUICK, water)
 
 
 def test_a_lake_has_its_bays_and_no_bed_on_its_island(lake: tuple[Water, BedOfTable]) -> None:

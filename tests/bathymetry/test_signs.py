@@ -163,6 +163,7 @@ def test_the_command_asks_in_its_output_and_in_its_report(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr("thalweg.figures.save", lambda *_: None)
+    monkeypatch.setattr("thalweg.bathymetry.variogram._STEPS", 12)
     table = river(82, "depths").iloc[:375]
     pd.DataFrame(
         {"east": 500_000.0 + table["s_m"], "north": 5_400_000.0 + table["n_m"], "z": table["up_m"]}

@@ -288,18 +288,8 @@ def test_an_island_is_no_bed(
     ring = [(middle + d).tolist() for d in ([-6, -6], [6, -6], [6, 6], [-6, 6], [-6, -6])]
     shape = {"type": "Feature", "properties": {}, "geometry": {"type": "Polygon", "coordinates": [ring]}}
     (tmp_path / "i.geojson").write_text(json.dumps({"type": "FeatureCollection", "features": [shape]}))
-    words = ["bed", str(river / "soundings.csv"), "--crs", CRS, "--height", "h", "--line", "leg"]
-    words += [
-        "--cell",
-        "1",
-        "--banks",
-        str(river / "sides.geojson"),
-        "--model",
-        "matern32",
-        "--drift",
-        "none",
-    ]
-    assert main([*words, "--islands", str(tmp_path / "i.geojson"), "--out", str(tmp_path / "b")]) == 0
+    words = ["--height", "h", "--line", "leg", "--banks", str(river / "sides.geojson"), "--islands"]
+    made(river, tmp_path / "b", *words, str(tmp_path / "i.geojson"))
     grid = read_raster(tmp_path / "b/bed.tif")[0]
     known, left = (
         np.isfinite(read_raster(folder / "bed.tif")[1]["height_m"].ravel())
@@ -309,7 +299,8 @@ def test_an_island_is_no_bed(
     assert known[inside].sum() >= 100
     assert not left[inside].any()
     assert (left[~inside] == known[~inside]).all()
-    assert main([*words, "--islands", str(river / "sides.geojson"), "--out", str(tmp_path / "c")]) == 2
+    words = ["bed", str(river / "soundings.csv"), "--crs", CRS, "--out", str(tmp_path / "c"), *words]
+    assert main([*words, str(river / "sides.geojson")]) == 2
     assert "no polygon" in capsys.readouterr().err
 
 

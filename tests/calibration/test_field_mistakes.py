@@ -11,7 +11,7 @@ from tests.calibration import field_blocks as blocks
 from thalweg.calibration import block_of
 from thalweg.calibration.field import FieldDescription, MeasuredField, measure, start_network, starting_camera
 from thalweg.calibration.field.description import Target
-from thalweg.calibration.field.job import advice_words, overview_words
+from thalweg.calibration.field.job import overview
 from thalweg.core import GeometryError, LocalFrame, Rigid, exp_rotation
 
 FRAME = LocalFrame(lat_deg=51.028, lon_deg=13.721, h_ell_m=160.0)
@@ -77,12 +77,6 @@ def test_a_refocused_lens_is_noticed() -> None:
     assert change.probability < 1e-10
 
 
-def test_a_lens_refocused_by_far_is_refused() -> None:
-    with pytest.raises(GeometryError, match="changed between IMG_00") as caught:
-        measured(yard()[1], refocused(0.004, 10))
-    assert "Take out the pictures" in caught.value.cure
-
-
 def test_a_change_that_pictures_do_not_show_is_no_change() -> None:
     shuffled = refocused(0.0005, 10)
     numbers = shuffled["image"].str[4:8].astype(int)
@@ -133,10 +127,6 @@ def test_a_target_far_away_and_targets_exchanged_do_not_spoil_the_bundle() -> No
     assert name == "T1"
     assert "+222." in reason
     assert np.abs(found.datum.T_wcs_pcs.R - np.eye(3)).max() < 0.02
-    turned = replace(t[0], lat_deg=t[0].lon_deg, lon_deg=t[0].lat_deg)
-    ((name, reason),) = measured(replace(field, targets=(turned, *t[1:])), fewer()).datum.rejected
-    assert name == "T0"
-    assert "latitude and longitude are exchanged" in reason
     swapped = replace(t[0], marker=t[1].marker), replace(t[1], marker=t[0].marker)
     with pytest.raises(GeometryError, match="the RTK targets contradict the field by"):
         measured(replace(field, targets=(*swapped, *t[2:])), fewer())
@@ -152,11 +142,11 @@ def test_too_few_pictures_tell_what_they_show_and_what_to_photograph() -> None:
     assert "stand in 3 pictures or more" in caught.value.found
     assert "14 pictures more" in caught.value.cure
     table = pd.DataFrame({"image": list("aaaabbbbcccc"), "marker": [1, 2, 3, 4, 1, 2, 3, 5, 7, 8, 9, 1]})
-    words = overview_words(table)
+    words, advice = overview(table)
     assert words.startswith("3 pictures show 8 markers: 1 stand in 3 pictures or more, 2 in two, 5 in one")
     assert "2 groups that share fewer than 3 markers: 2 with a, b; 1 with c" in words
-    assert "show markers of both groups, so 1, 2, 3, 4 ... and 1, 7, 8, 9" in advice_words(table)
-    assert "the markers 2, 3, 4, 5, 7, 8, 9 from two more sides" in advice_words(table)
+    assert "show markers of both groups, so 1, 2, 3, 4 ... and 1, 7, 8, 9" in advice
+    assert "the markers 2, 3, 4, 5, 7, 8, 9 from two more sides" in advice
 
 
 def similar(points: np.ndarray, truth: np.ndarray) -> np.ndarray:

@@ -24,7 +24,6 @@ from thalweg.calibration.field.network import (
     approximate_place,
     camera_changes,
     distances_words,
-    other_scale,
     require_steady,
     similarity,
 )
@@ -295,15 +294,6 @@ def test_of_as_many_targets_the_nearer_ones_agree() -> None:
     there = np.concatenate([loose, PLACE.apply(TARGETS[3:])])
     kept, _, _ = agreeing(TARGETS, there, np.full(6, 0.1))
     assert kept.tolist() == [False, False, False, True, True, True]
-
-
-@pytest.mark.parametrize(("factor", "found"), [(3.28, 3.28), (1.02, 1.02), (1.005, None), (0.98, 0.98)])
-def test_another_scale_explains_targets(factor: float, found: float | None) -> None:
-    told = other_scale(TARGETS, PLACE.apply(factor * TARGETS), np.full(6, 0.01))
-    assert told == (None if found is None else pytest.approx(found))
-    bad = PLACE.apply(factor * TARGETS)
-    bad[2] += [0.0, 0.0, 50.0]
-    assert other_scale(TARGETS, bad, np.full(6, 0.01)) is None
 
 
 def test_distances_in_words() -> None:

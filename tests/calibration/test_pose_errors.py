@@ -5,7 +5,7 @@ import pytest
 
 from thalweg.calibration.ins_lidar import BorderedNormals, Knots, PoseErrors, pose_rows
 from thalweg.calibration.ins_lidar.pose_errors import SLOW, turns
-from thalweg.core import ArrayF, CoverageError, GeometryError, exp_rotation, rotation_enu_body
+from thalweg.core import ArrayF, CoverageError, exp_rotation, rotation_enu_body
 
 ERRORS = PoseErrors(
     sigma_position_m=np.array([0.02, 0.02, 0.03]), sigma_attitude_rad=np.deg2rad([0.1, 0.1, 0.2]), knot_s=0.5
@@ -95,13 +95,6 @@ def test_small_turns_are_rotations() -> None:
     v = np.deg2rad([[0.2, -0.3, 0.25]])
     # third order: (0.44 deg)^3 / 6 = 8e-8
     assert turns(v)[0] == pytest.approx(exp_rotation(v[0]), abs=1e-7)
-
-
-def test_errors_without_size_are_refused() -> None:
-    with pytest.raises(GeometryError, match="sigma_attitude_rad"):
-        PoseErrors(sigma_position_m=np.full(3, 0.02), sigma_attitude_rad=np.zeros(3))
-    with pytest.raises(GeometryError, match="share of at least 0 and below 1"):
-        PoseErrors(sigma_position_m=np.full(3, 0.02), sigma_attitude_rad=np.full(3, 1e-3), white_share=1.0)
 
 
 def test_sections_are_in_degrees() -> None:

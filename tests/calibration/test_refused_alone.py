@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from thalweg.calibration.boards import BoardPoses
 from thalweg.calibration.camera_lidar.model import FieldErrors
 from thalweg.calibration.cones import Cone, ConeReference
 from thalweg.calibration.ins_lidar.antenna import phase_centre
@@ -43,7 +42,6 @@ GOOD: dict[Callable[..., Any], dict[str, Any]] = {
         "attitude_time_s": 20.0, "white_share": 0.25, "epoch_s": 0.1, "knot_s": 1.0, "heading_time_s": 30.0,
     },
     FieldCones: {"names": ("a", "b"), "cones": (CONE,) * 2, "length_m": np.ones(2), "cov": np.eye(12)},
-    BoardPoses.of: {"middle_m": np.ones((2, 3)), "normal": np.ones((2, 3))},
     Track: {
         "t_gps_s": np.arange(50.0), "position_m": np.zeros((50, 3)), "cov_m2": np.tile(np.eye(3), (50, 1, 1)),
         "correlation_time_s": 10.0, "white_share": 0.25,
@@ -92,10 +90,6 @@ WRONG: list[tuple[Callable[..., Any], dict[str, Any]]] = [
     *((FieldCones, each) for each in (
         {"names": ("a", "a")}, {"names": ("a",)}, {"length_m": np.ones(3)}, {"cov": np.zeros((6, 6))},
         {"names": (), "cones": (), "length_m": np.ones(0), "cov": np.zeros((0, 0))},
-    )),
-    *((BoardPoses.of, each) for each in (
-        {"middle_m": np.ones((3, 3))}, {"middle_m": np.ones(3), "normal": np.ones(3)},
-        {"middle_m": np.ones((2, 4)), "normal": np.ones((2, 4))},
     )),
     *((Track, each) for each in (
         {"t_gps_s": np.arange(2.0), "position_m": np.zeros((2, 3)), "cov_m2": np.zeros((2, 3, 3))},

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from thalweg.core import LocalFrame, Trajectory, rotation_enu_body, rotation_opk
 from thalweg.core.geometry import TriangleMesh
 from thalweg.figures.calibration.field import cones_of
-from thalweg.ingest import DEPTH, GNSS_POSITION, INS_STATE
+from thalweg.ingest import GNSS_POSITION
 from thalweg.surface import BankFrame
 
 T0_GPS_S = 178_649_913.4  # 2017-05-12T18:44:55.4 UTC, the example of core.timescales
@@ -57,40 +57,6 @@ def positions(trajectory):
     sigma = {f"sigma_{a}_m": np.where(fix == "fixed", 0.02, 0.5) for a in ("east", "north", "up")}
     return table_of(
         GNSS_POSITION, n, t_gps_s=trajectory.t_gps_s, lat_deg=lat, lon_deg=lon, h_ell_m=h, fix=fix, **sigma
-    )
-
-
-@pytest.fixture
-def states():
-    n = 300
-    t = T0_GPS_S + 0.1 * np.arange(n)
-    t[200:] += 50.0
-    return table_of(
-        INS_STATE,
-        n,
-        t_gps_s=t,
-        t_device_s=t,
-        roll_rad=0.1 * np.sin(t),
-        pitch_rad=0.05 * np.cos(t),
-        heading_rad=np.mod(0.5 * (t - t[0]), 2 * np.pi),
-        v_north_mps=1.0,
-        v_east_mps=0.5,
-        v_down_mps=0.0,
-        fix=np.where(np.arange(n) < 250, "fixed", "float"),
-    )
-
-
-@pytest.fixture
-def depths():
-    n = 60
-    return table_of(
-        DEPTH,
-        n,
-        t_gps_s=T0_GPS_S + np.arange(n),
-        depth_m=1.0 + 0.01 * np.arange(n),
-        offset_m=np.where(np.arange(n) % 2, np.nan, 0.3),
-        sentence=np.where(np.arange(n) % 2, "DBT", "DPT"),
-        line=np.arange(1, n + 1),
     )
 
 

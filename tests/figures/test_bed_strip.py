@@ -101,7 +101,13 @@ def test_the_page_counts_what_was_left_out(tmp_path) -> None:
         "times": {"images_without_pulse": ["b.png", "c.png"], "pulses_without_image_s": [1.0]},
         "trajectory": "fused",
     }
-    page = strip_page(counts, [(tmp_path / "bed_strip.png", "From above")], title="Strip: Demo", twin=True)
+    page = strip_page(
+        counts,
+        [tmp_path / "bed_strip.png"],
+        captions={"bed_strip": "From above"},
+        title="Strip: Demo",
+        twin=True,
+    )
     text = page.html().replace("\N{NO-BREAK SPACE}", " ")
     for words in (
         "<h1>Strip: Demo</h1>",

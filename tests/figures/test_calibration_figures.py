@@ -5,28 +5,16 @@ import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
-from thalweg.core import CoverageError, InputError, Rigid
-from thalweg.core.calibration import Calibration, Source, lever_block, pose_block
-from thalweg.figures import count, save
+from thalweg.core import CoverageError
+from thalweg.figures import count
 from thalweg.figures.calibration import Oblique
-from thalweg.figures.calibration.cones import cone_before_after, draw_cone_frame
+from thalweg.figures.calibration.cones import cone_before_after
 from thalweg.figures.calibration.field import cones_of, field_positions, field_reference, field_setup
-from thalweg.figures.calibration.quality import calibration_design, correlation_matrix
-from thalweg.figures.calibration.synthetic_view import synthetic_view
+from thalweg.figures.calibration.quality import calibration_design
+from thalweg_lab.figures.cone_frame import cone_frame
+from thalweg_lab.figures.synthetic_view import synthetic_view
 
 NBSP = "\N{NO-BREAK SPACE}"
-
-
-def test_the_same_tables_give_the_same_bytes(cones, poses, points, tmp_path):
-    files = []
-    for name in "ab":
-        for k, figure in enumerate(
-            (field_setup(cones, poses, twin=True), cone_before_after(points, points, cones))
-        ):
-            files.append(tmp_path / f"{name}{k}.png")
-            save(figure, files[-1], dpi=50)
-    assert files[0].read_bytes() == files[2].read_bytes()
-    assert files[1].read_bytes() == files[3].read_bytes()
 
 
 # ---------------------------------------------------------------- views
@@ -162,7 +150,7 @@ def test_the_calibration_in_four_pictures(cones, points, reference, look):
 
 
 def test_the_sketch_of_a_cone_has_its_symbols(look):
-    figure = draw_cone_frame()
+    figure = cone_frame()
     words = look.texts(figure)
     assert all(symbol in words for symbol in ("$a$", "$p_j$", "$s_j$", "$\\alpha$", "$z_{cocs}$"))
     assert "no data" in words
@@ -206,40 +194,6 @@ def test_before_and_after(rng, cones, look, on_cones):
     look.drawn(figure)
     with pytest.raises(CoverageError, match="no points of cone C4"):
         cone_before_after(before, after, cones, cone="C4")
-
-
-def boat():
-    cov = np.diag([1e-8, 2e-8, 3e-8, 1e-8, 1e-8, 0.0])
-    cov[0, 3] = cov[3, 0] = -0.9e-8
-    block, cov6 = pose_block("lidar", Rigid(R=np.eye(3), shift_m=np.zeros(3), cov=cov))
-    cov = np.zeros((9, 9))
-    cov[:6, :6], cov[6:, 6:] = cov6, 1e-6 * np.eye(3)
-    return Calibration(
-        title="Boat",
-        blocks=(block, lever_block("antenna", [0, 0, 0])),
-        cov=cov,
-        source=Source(run="field", method="cones"),
-    )
-
-
-def test_correlations_are_those_of_the_file(look):
-    figure = correlation_matrix(boat(), twin=True)
-    words = look.texts(figure)
-    # kappa has no sigma and is left out
-    assert "n = 8 quantities, largest correlation 0.90, none above 0.95" in words
-    assert "lidar kappa" not in words
-    assert "antenna x" in words
-    (matrix,) = look.artists(figure, "matrix")
-    values = np.asarray(matrix.get_array())
-    assert values.shape == (8, 8)
-    assert values[0, 2] == pytest.approx(-0.9)
-    assert "−.90" in words
-    look.drawn(figure)
-    fixed = boat()
-    with pytest.raises(InputError, match="0 quantities with an error"):
-        correlation_matrix(
-            Calibration(title="x", blocks=fixed.blocks, cov=np.zeros((9, 9)), source=fixed.source)
-        )
 
 
 def test_the_design_study_has_a_line_for_each_number_of_positions(rng, look):

@@ -14,18 +14,12 @@ import pytest
 from pyproj import CRS
 
 from thalweg.core import Dsm, GeometryError, Grid, InputError, frame_of, write_raster, write_table
-from thalweg.deformation import CHANGES, CORE_POINTS, HEIGHTS, SERIES, VISIBILITY, fit_series, heights_table
+from thalweg.deformation import CHANGES, CORE_POINTS, VISIBILITY
 from thalweg.deformation.foreign import SurfaceDifference, read_difference, write_difference
 from thalweg.figures import save
 from thalweg.figures.deformation import change_page, read_pair_facts
 from thalweg.figures.deformation.heights import draw_height_difference
-from thalweg.figures.deformation.maps import (
-    draw_change_map,
-    draw_not_seen,
-    draw_significance_map,
-    read_pairs,
-    scene,
-)
+from thalweg.figures.deformation.maps import draw_change_map, draw_significance_map, read_pairs, scene
 from thalweg.figures.deformation.page import (
     contradiction,
     direction,
@@ -37,10 +31,8 @@ from thalweg.figures.deformation.page import (
     write_change_page,
 )
 from thalweg.figures.deformation.statistics import (
-    draw_level_of_detection,
     draw_retreat_along,
     draw_stable_ground,
-    draw_time_series,
     draw_volume_along,
     read_stable,
 )
@@ -54,7 +46,7 @@ from thalweg.figures.deformation.views import (
 )
 from thalweg.workflow.figures import read_figures
 
-WORDS = {"title": "a bank", "twin": True}
+WORDS = {"title": "a bank"}
 BY_BOAT = {"by_boat": True, **WORDS}
 FIGURES_YAML = Path(__file__).parents[2] / "workflow/figures.yaml"
 ROOT = np.sqrt(0.5)
@@ -236,21 +228,6 @@ def test_significance_map_names_states_with_their_area(bank, look):
     look.drawn(figure)
 
 
-def test_not_seen_tells_the_reason_in_each_epoch(bank, look):
-    figure = draw_not_seen(
-        changes=bank.changes,
-        visibility=bank.visibility,
-        core_points=bank.core_points,
-        spacing_m=0.5,
-        **BY_BOAT,
-    )
-    first, second = (ax for ax in figure.axes if ax.get_legend())
-    texts = [[t.get_text() for t in ax.get_legend().get_texts()] for ax in (first, second)]
-    assert texts[0][1] == "water: n = 41, 20.5 m² (14 %)"
-    assert [each.split(":")[0] for each in texts[1]] == ["seen"]
-    look.drawn(figure)
-
-
 def test_several_pairs_stand_below_each_other(bank, look):
     twice = {"changes": 2 * bank.changes, "core_points": bank.core_points, "spacing_m": 0.5}
     figure = draw_change_map(**twice, **BY_BOAT)
@@ -260,17 +237,6 @@ def test_several_pairs_stand_below_each_other(bank, look):
 
 
 # ---------------------------------------------------------------- statistics
-
-
-def test_level_of_detection_by_parts(bank, look):
-    files = {"changes": bank.changes, "core_points": bank.core_points, "spacing_m": 0.5}
-    figure = draw_level_of_detection(**files, **BY_BOAT)
-    words = look.texts(figure)
-    assert "level of detection: median 3.9 cm, 95 % below 3.9 cm" in words
-    assert "shared errors alone: median 3.1 cm" in words
-    assert "noise and roughness alone: median 2.4 cm" in words
-    assert [line.get_xdata()[0] for line in look.artists(figure, "published")] == [15.0, 19.0]
-    look.drawn(figure)
 
 
 def test_stable_ground_leaves_significant_places_out_unless_it_was_drawn(bank, pair, tmp_path):
@@ -621,30 +587,6 @@ def test_movement_of_both_lines_is_drawn_in_centimetres(look, tmp_path):
     look.drawn(figure)
 
 
-@pytest.fixture
-def retreating(bank, rng):
-    """Times, heights, sigmas of four epochs: a core point retreats by 10 cm a year, one was seen twice."""
-    t, sigma = np.array([2019.0, 2020.0, 2021.0, 2023.0]), np.full((4, bank.n), 0.01)
-    height = rng.normal(0.0, 0.002, (4, bank.n))
-    height[0] = 0.0
-    height[:, 7] -= 0.1 * (t - t[0])
-    height[1:3, 8] = np.nan
-    return t, height, sigma
-
-
-def test_six_series_are_drawn_the_largest_trend_first(bank, retreating, look, tmp_path):
-    write_table(tmp_path / "series.parquet", fit_series(*retreating), SERIES)
-    write_table(tmp_path / "heights.parquet", heights_table(*retreating), HEIGHTS)
-    files = {"heights": tmp_path / "heights.parquet", "series": tmp_path / "series.parquet"}
-    figure = draw_time_series(**files, core_points=bank.core_points, **WORDS)
-    trend = look.artists(figure, "trend")
-    assert len(trend) == 6
-    assert np.ptp(trend[0].get_ydata()) == pytest.approx(40.0, abs=2.0)  # 10 cm/a over four years
-    assert f"Six of {bank.n} core points over time" in look.texts(figure)
-    assert trend[0].get_xdata().tolist() == [0.0, 1.0, 2.0, 4.0]
-    look.drawn(figure)
-
-
 def test_a_page_of_many_epochs_names_those_that_jump(bank):
     facts = read_pair_facts(
         bank.changes, bank.visibility, bank.control, bank.registrations, bank.volumes, bank.patches,
@@ -718,11 +660,11 @@ def test_pictures_and_page_of_files_speak_of_no_boat_river_or_bank(bank, look, t
             found[f"caption of {row.name}"] = row.caption_of_files or row.caption
             draw = inspect.unwrap(getattr(import_module(module), name))
             wanted = inspect.signature(draw).parameters
-            if row.name not in ("height_difference", "time_series"):  # from files of other kinds, see above
+            if row.name != "height_difference":  # from files of other kinds, see above
                 found[row.name] = look.texts(draw(**{key: known[key] for key in wanted}))
     write_change_page(**{key: known[key] for key in inspect.signature(write_change_page).parameters})
     found["page"] = known["page"].read_text()
     spoken = {name: re.findall(r"\b(?:river|boat|bank)s?\b.{0,40}", words) for name, words in found.items()}
     assert not {name: words for name, words in spoken.items() if words}
-    assert len(found) == 12 + 10 + 1
+    assert len(found) == 9 + 8 + 1
     assert "Rates of contour and upper edge" in found["page"]

@@ -1,18 +1,14 @@
 """The map of distances: signs, sides, counts, and what is drawn where."""
 
-import matplotlib
 import numpy as np
 import pytest
 
+from tests.figures.conftest import artists as by_gid
 from thalweg.core import CoverageError, InputError
-from thalweg.figures import count, save
+from thalweg.figures import count
 from thalweg.figures.accuracy import DISTANCE_MAP, centimetres, compared, round_above, round_limit_m
 from thalweg.figures.accuracy.distance_map import distance_map, strips, view_text
 from thalweg.figures.accuracy.distances import bank_frame_of
-
-
-def by_gid(figure, gid):
-    return figure.findobj(lambda artist: artist.get_gid() == gid)
 
 
 def test_the_title_states_n_mean_and_rmse(made):
@@ -103,18 +99,6 @@ def test_numbers_do_not_depend_on_thinning(made):
     some = distance_map(made.table, made.mesh, made.frame, max_points=2_000)
     assert every.get_suptitle() == some.get_suptitle()
     assert by_gid(every, "end-right")[0].get_text() == by_gid(some, "end-right")[0].get_text()
-
-
-def test_the_same_bytes_twice(made, tmp_path):
-    for name in ("a.png", "b.png"):
-        save(distance_map(made.table, made.mesh, made.frame, title="Test"), tmp_path / name, dpi=60)
-    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
-    assert matplotlib.rcParams["figure.constrained_layout.use"] is False  # the style stays inside
-
-
-def test_few_points_make_a_map(made, tmp_path):
-    save(distance_map(made.table.iloc[5_000:5_003], made.mesh, made.frame), tmp_path / "few.png", dpi=50)
-    assert (tmp_path / "few.png").stat().st_size > 5_000
 
 
 def test_nothing_compared_is_refused(made):

@@ -4,14 +4,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from tests.figures.conftest import artists as by_gid
 from thalweg.accuracy import ComparisonSettings, by_range_table
 from thalweg.core import CoverageError
-from thalweg.figures import count, save
+from thalweg.figures import count
 from thalweg.figures.accuracy.distances import distance_by_range, distance_histogram, robust_fit
-
-
-def by_gid(figure, gid):
-    return figure.findobj(lambda artist: artist.get_gid() == gid)
 
 
 @pytest.fixture
@@ -59,13 +56,6 @@ def test_quantiles_of_normal_distances_lie_on_the_line(rng, make_comparison):
     middle = np.abs(z) < 2.0
     # Sampling error of a quantile at 2 sigma with 39,000 points: 2.8 / sqrt(n) = 1.4 % of 5 cm; four of them.
     np.testing.assert_allclose(found[middle], 3.0 + 5.0 * z[middle], atol=0.3)
-
-
-def test_equal_distances_make_a_histogram(made, tmp_path):
-    made.table["distance_m"] = 0.02
-    save(distance_histogram(made.table, twin=True), tmp_path / "a.png", dpi=50)
-    save(distance_histogram(made.table, twin=True), tmp_path / "b.png", dpi=50)
-    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
 
 
 # ---------------------------------------------------------------- by range

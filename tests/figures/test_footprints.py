@@ -3,13 +3,10 @@
 import numpy as np
 import pytest
 
+from tests.figures.conftest import artists as by_gid
 from thalweg.core import GeometryError
 from thalweg.figures import save
 from thalweg.figures.cloud.footprints import best_moment, choose_patch, footprint_ellipses, footprints
-
-
-def by_gid(figure, gid):
-    return figure.findobj(lambda artist: artist.get_gid() == gid)
 
 
 @pytest.fixture
@@ -105,12 +102,6 @@ def test_the_moment_is_that_with_most_points_near_the_distance():
     assert best_moment(t, r) == pytest.approx(100.25)
     # Without a point near 30 m the nearest there is.
     assert best_moment(t[5:], r[5:]) == pytest.approx(100.55)
-
-
-def test_one_point_makes_a_figure(tmp_path):
-    figure = footprints(np.array([[3.0, 4.0, 0.0]]), np.zeros((1, 3)), divergence_mrad=3.0)
-    save(figure, tmp_path / "one.png", dpi=50)
-    assert (tmp_path / "one.png").stat().st_size > 5_000
 
 
 def test_nothing_to_draw_is_refused(frame):

@@ -76,7 +76,7 @@ def test_soundings_lie_on_the_track_from_files(trajectory, tmp_path: Path):
         writer.append(track + np.array([0.0, 20.0, 3.0]))
     figure = draw_from_above(
         trajectory=tmp_path / "t.parquet", points=[tmp_path / "c.laz"], bed=[], line=[], level=[],
-        soundings=[tmp_path / "s.csv"], crs="EPSG:25833", twin=False,
+        soundings=[tmp_path / "s.csv"], crs="EPSG:25833",
     )  # fmt: skip
     expected = 255 * np.array(WATER(2 / 3)[:3])  # the bar of equal values ends at one and a half of them
     for place in track[[5, 200, 350]]:

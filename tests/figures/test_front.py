@@ -67,7 +67,7 @@ def of_boat(folder: Path) -> None:
     for name, of in (("viewer", "Point cloud"), ("bathymetry", "Riverbed")):
         Page(f"{of}: {TITLE}").write(folder / name / "index.html")
     (folder / "bathymetry/validation.json").write_text(
-        json.dumps({"rmse_m": 0.052, "normalised_square": 1.0, "lines": 4})
+        json.dumps({"rmse_m": 0.052, "bias_m": -0.011, "normalised_square": 1.0, "lines": 4})
     )
     (folder / "lidar").mkdir()
     counts = {"reason": ["kept", "too_near"], "n": [600, 400], "share": [0.6, 0.4]}
@@ -194,15 +194,15 @@ def test_a_survey_at_a_glance(tmp_path: Path) -> None:
     for told in (
         "Survey &lt;1&gt; Digital twin: simulated instruments wrote these logs · 2017-05-12, 18:44:55 to",
         # from second to second: all poses of the wave are 130 m
-        "UTC · track of 126 m · 51.0500°N, 13.2500°E · map EPSG:25833",
+        "UTC · track of 126 m · 51.0500°N, 13.2500°E · map EPSG:25833, ellipsoidal heights",
         # the best trajectory has a gap of 20 poses: from the last one before it to the first one after it
         "position of the boat, median 3D σ, all sensors 3.5 cm 1 gap, 2.1 s",
-        "cloud to reference, RMSE, all sensors 5.0 cm 5.0 cm predicted: consistent",
-        "cloud to reference, RMSE, INS and GNSS 5.0 cm 2.5 cm predicted: too optimistic",
-        "riverbed, RMSE of 4 left-out lines 5.2 cm too few lines to judge",
+        "cloud to reference, RMSE, all sensors 5.0 cm predicted 5.0 cm: consistent",
+        "cloud to reference, RMSE, INS and GNSS 5.0 cm predicted 2.5 cm: too optimistic",
+        "riverbed, RMSE of 4 left-out lines 5.2 cm mean error −1.1 cm; too few lines to judge its sigma",
         "points in the cloud 600 of 1 000 decoded",
-        "soundings used 291 of 300 pings",
-        "complete recordings 1 of 3 of the others something is missing",
+        "soundings used 291 of 300 pings; the others with their reasons",
+        "inputs without loss 1 of 3 of the others something is missing",
         # a fiftieth and a fifth of the time are missing
         "Lidar VLP-16 ▲ 1 gap, 2.0 s",
         "Camera a format ✖ 1 gap, 20.0 s; 3 images",
@@ -211,7 +211,7 @@ def test_a_survey_at_a_glance(tmp_path: Path) -> None:
         "Point cloud by the best trajectory LAZ, EPSG:25833, 3.2 MB CloudCompare, QGIS, CAD",
         "Report of survey PDF, 1 kB to print and hand in",
         "Point cloud, INS and GNSS LAZ, local frame, 3.2 MB CloudCompare",
-        "Open: Point cloud",
+        "Open in three dimensions: point cloud",
         "strip of the bed logs.light_sheet",
         "Sections across. no point lies 2 to 25 m beside the track",
     ):
@@ -226,12 +226,12 @@ def test_a_survey_at_a_glance(tmp_path: Path) -> None:
 
 def test_each_kind_shows_the_numbers_of_its_page(tmp_path: Path) -> None:
     text = words(front(tmp_path, "soundings"))
-    assert "complete recordings 1 of 1 nothing lost or damaged" in text
-    assert "soundings used 291 of 300 pings" in text
+    assert "inputs without loss 1 of 1 nothing lost or damaged" in text
+    assert "soundings used 291 of 300 pings; the others with their reasons" in text
     assert "median 3D σ, GNSS 5.2 m 1 gap, 2.1 s" in text
     text = words(front(tmp_path, "change"))
     assert text.count("volume of erosion −12.6 ± 0.6 m³ not zero, at 95 %") == 7  # of nine
-    assert "Open: Point cloud" in text
+    assert "Open in three dimensions: point cloud" in text
     assert text.count("Difference of heights TIF, EPSG:25833") == 2
     page = (tmp_path / "results/change/index.html").read_text()
     assert '<a href="deformation/index.html">−12.6 ± 0.6 m³</a>' in page
@@ -260,7 +260,7 @@ def test_what_is_listed_is_what_campaigns_make(repository: Path) -> None:
 
 
 def test_a_picture_keeps_its_reason(tmp_path: Path) -> None:
-    save(new_figure(40.0, "A map", twin=False), tmp_path / "map.png", dpi=50)
+    save(new_figure(40.0, "A map"), tmp_path / "map.png", dpi=50)
     save(empty_figure("Sections", "no point", twin=True), tmp_path / "none.png", dpi=50, note="no point")
     assert note_of(tmp_path / "map.png") is None
     assert "no point" in (note_of(tmp_path / "none.png") or "")

@@ -98,7 +98,10 @@ def test_every_layer_is_there_from_the_uppermost_to_the_lowest(survey) -> None:
         assert layer.findtext("srs/spatialrefsys/authid") == "EPSG:25833"
     assert root.findtext("projectCrs/spatialrefsys/authid") == "EPSG:25833"
     corners = [float(root.findtext(f"mapcanvas/extent/{name}")) for name in ("xmin", "ymin", "xmax", "ymax")]
-    assert corners == [377300.0, 5656800.0, 377309.0, 5656809.0]
+    # of soundings and track: the rasters reach a metre farther
+    assert corners == [377300.0, 5656800.0, 377308.0, 5656808.0]
+    pipe = layers["thalweg_hillshade"].find("pipe")
+    assert pipe.find("provider/resampling").get("zoomedInResamplingMethod") == "bilinear"
 
 
 def test_classes_hold_all_soundings_and_all_reasons(survey) -> None:

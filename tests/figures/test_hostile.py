@@ -34,7 +34,7 @@ def every_method(text: str, folder: Path) -> Page:
     table = pd.DataFrame({text: [text, text], f"{text}2": [1.0, 2.0]})
     page = Page(text, text, [Finding(text, text, text, text)])
     page.section(text).text(f"{text}\n\n{text}").lines([text]).figure(folder / "p.png", text)
-    page.section(text).figures({text: folder / "p.png"}, {text: text}).links({text: (text, text)})
+    page.section(text).pictures({text: folder / "p.png"}, {text: text}).links({text: (text, text)})
     with page.fold(text):
         page.thumbnails({text: (folder / "p.png", text)}).table(table, text, {text: text})
     return page

@@ -8,8 +8,6 @@ import pytest
 from PIL import Image
 
 from thalweg.core import CoverageError, InputError
-from thalweg.core.calibration import Source
-from thalweg.figures.calibration.quality import correlation_matrix
 from thalweg.lightsheet.budget import TOTAL_CORRELATED, budget_on_lines
 from thalweg.lightsheet.figures import departures_px, first_image, measured
 from thalweg.lightsheet.figures.budget import depth_budget
@@ -26,7 +24,6 @@ from thalweg.lightsheet.figures.sensor import (
 from thalweg.lightsheet.figures.views import along_and_off, beam_paths, find_image
 from thalweg.lightsheet.lines import LineFlag
 from thalweg.lightsheet.optics import Sensor, depth_lines, intersect, measurement_volume, paper_4
-from thalweg.lightsheet.optics.sensor import sensor_calibration
 
 
 @pytest.fixture(scope="module")
@@ -261,15 +258,6 @@ def test_the_calibration_shows_what_was_used(sensor: Sensor, observations, look)
         grid_calibration(sensor, image, residuals.assign(used=False), pairs)
     with pytest.raises(InputError, match="an empty table"):
         grid_calibration(sensor, image, residuals, pairs[:0])
-
-
-def test_correlations_of_a_sensor_are_those_of_its_covariance(sensor: Sensor, look) -> None:
-    calibration = sensor_calibration(sensor, source=Source(run="x", method="y"))
-    figure = correlation_matrix(calibration, twin=True)
-    (matrix,) = look.artists(figure, "matrix")
-    free = calibration.sigmas > 0
-    np.testing.assert_allclose(matrix.get_array(), calibration.correlation()[np.ix_(free, free)])
-    look.drawn(figure)
 
 
 # ---------------------------------------------------------------- budget

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from tests.figures.conftest import artists as by_gid
 from thalweg.core import GeometryError
 from thalweg.figures import save
 from thalweg.figures.cloud import Splat, choose_segment, cloud_overview
@@ -10,10 +11,6 @@ from thalweg.figures.cloud.overview import cloud_detail
 from thalweg.figures.cloud.views import BankSegment, ObliqueView, bankward_azimuth
 from thalweg.figures.survey import track_gaps
 from thalweg.figures.survey.maps import survey_map
-
-
-def by_gid(figure, gid):
-    return figure.findobj(lambda artist: artist.get_gid() == gid)
 
 
 def legend_labels(figure):
@@ -97,15 +94,6 @@ def test_map_of_one_pose_and_of_none(tmp_path, trajectory):
         survey_map(trajectory)
 
 
-def test_overview_of_an_array_and_of_chunks_is_the_same(tmp_path, trajectory, bank):
-    splat = Splat(ObliqueView.fit(bank.points))
-    for part in np.array_split(bank.points, 3):
-        splat.add(part, part[:, 2])
-    save(cloud_overview(splat, trajectory, twin=True), tmp_path / "chunks.png", dpi=60)
-    save(cloud_overview(bank.points, trajectory, twin=True), tmp_path / "array.png", dpi=60)
-    assert (tmp_path / "chunks.png").read_bytes() == (tmp_path / "array.png").read_bytes()
-
-
 def test_overview_states_what_it_shows(trajectory, bank):
     splat = Splat(ObliqueView.fit(bank.points))
     splat.add(bank.points, bank.points[:, 2])
@@ -125,7 +113,7 @@ def test_overview_states_what_it_shows(trajectory, bank):
 def test_overview_scale_bar(trajectory, bank):
     splat = Splat(ObliqueView.fit(bank.points))
     splat.add(bank.points, bank.points[:, 2])
-    figure = cloud_overview(splat)
+    figure = cloud_overview(splat, trajectory)
     (bar,), (text,) = by_gid(figure, "scale-bar"), by_gid(figure, "scale-text")
     metres = np.ptp(bar.get_xdata()) * np.ptp(figure.axes[0].get_xlim()) * splat.view.pixel_m
     assert text.get_text() == f"{metres:g} m"
@@ -194,7 +182,7 @@ def test_the_colours_are_those_of_the_colour_bar(trajectory, bank):
     """A pixel and the bar give one height one colour."""
     splat = Splat(ObliqueView.fit(bank.points, width_px=400))
     splat.add(bank.points, bank.points[:, 2])
-    figure = cloud_overview(splat, height_limits_m=(0.0, 30.0))
+    figure = cloud_overview(splat, trajectory)
     bar = next(ax for ax in figure.axes if ax.get_ylabel() == "height in the local frame / m")
     mappable = bar._colorbar.mappable
     heights = splat.buffers(splat.radius_px())[1]

@@ -129,7 +129,8 @@ def _front(folder: Path) -> dict[str, Any]:
     (folder / "a.html").write_text("<h1>A</h1>\n<p>Words.</p>")
     summary.to_csv(folder / "summary.csv", index=False)
     return {
-        "page": folder / "index.html", "title": "a", "twin": True, "crs": "b", "lacking": [("a", "b")],
+        "page": folder / "index.html", "title": "a", "twin": True, "crs": "EPSG:25833",
+        "lacking": [("a", "b")],
         "results": [folder / "a.html", folder / "summary.csv"], "pictures": [], "figures": {"a": ("b", "c")},
     }  # fmt: skip
 

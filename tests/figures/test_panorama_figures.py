@@ -7,7 +7,7 @@ import pytest
 from thalweg.calibration import Rig
 from thalweg.core import Camera, Rigid
 from thalweg.figures.cloud import colour_check
-from thalweg.figures.panorama import panorama_picture, rig_field, rig_residuals
+from thalweg.figures.panorama import rig_field, rig_residuals
 from thalweg.settings.sections import Rig as RigSettings
 
 
@@ -41,14 +41,6 @@ def test_residuals_are_split_along_and_across_the_radius() -> None:
 def row(**changes: object) -> pd.Series:
     given = {"width_px": 64, "mode": "depth", "heading_deg": 90.0}
     return pd.Series(given | {"sigma_east_m": 0.03, "sigma_north_m": 0.04} | changes)
-
-
-def test_a_panorama_shows_where_north_is() -> None:
-    figure = panorama_picture(np.zeros((32, 64, 3), np.uint8), row(), title="Panorama", twin=False)
-    ax = figure.axes[0]
-    at = dict(zip([t.get_text() for t in ax.get_xticklabels()], ax.get_xticks(), strict=True))
-    assert (at["E"], at["S"], at["N"]) == (0, 90, -90)
-    assert "centre ± 5.0 cm" in words(figure)
 
 
 def test_marks_of_the_field_lie_where_their_angles_say() -> None:

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from tests.figures.conftest import artists as by_gid
 from thalweg.core import GeometryError
 from thalweg.figures import save
 from thalweg.figures.accuracy.reference_view import (
@@ -13,10 +14,6 @@ from thalweg.figures.accuracy.reference_view import (
     viewpoint_on_track,
 )
 from thalweg.figures.cloud import Splat
-
-
-def by_gid(figure, gid):
-    return figure.findobj(lambda artist: artist.get_gid() == gid)
 
 
 def view_at(viewpoint=(0.0, 0.0, 0.0), left_deg=350.0, top_deg=10.0, pixel_deg=1.0, width=40, height=20):
@@ -109,6 +106,9 @@ def test_a_cloud_of_another_place_is_refused(trajectory, bank):
     assert np.isfinite(far).all()
 
 
+NAMED = {"shown": 2, "names": {}, "counts": dict.fromkeys(range(4), 10)}
+
+
 @pytest.fixture
 def scanned(trajectory, bank):
     source = 1 + (np.arange(len(bank.points)) % 3)
@@ -148,7 +148,7 @@ def test_figure_names_the_scan_and_counts_its_points(trajectory, bank, scanned):
 
 def test_black_is_no_return_and_nothing_else(trajectory, bank, scanned):
     splat, source = scanned
-    (picture,) = by_gid(reference_view(splat, bank.points, source), "panorama")
+    (picture,) = by_gid(reference_view(splat, bank.points, source, trajectory, **NAMED), "panorama")
     black = np.all(picture.get_array() == 0, axis=2)
     nothing = ~np.isfinite(splat.buffers(splat.radius_px())[1])
     np.testing.assert_array_equal(black, nothing)
@@ -157,20 +157,10 @@ def test_black_is_no_return_and_nothing_else(trajectory, bank, scanned):
 
 def test_the_sector_points_at_the_bank(trajectory, bank, scanned):
     splat, source = scanned
-    (sector,) = by_gid(reference_view(splat, bank.points, source, trajectory), "sector")
+    (sector,) = by_gid(reference_view(splat, bank.points, source, trajectory, **NAMED), "sector")
     middle = np.deg2rad(0.5 * (sector.theta1 + sector.theta2))
     towards = bank.points[:20_000, :2].mean(axis=0) - splat.view.viewpoint_wcs_m[:2]
     assert np.array([np.cos(middle), np.sin(middle)]) @ towards / np.linalg.norm(towards) > 0.9
-
-
-def test_scans_without_numbers_of_their_own_and_without_intensity(tmp_path, trajectory, bank):
-    """A merged cloud: one source, no intensity."""
-    view = PanoramaView.fit(bank.points, viewpoint_on_track(bank.points, trajectory)[0], width_px=300)
-    splat = Splat(view)
-    splat.add(bank.points, np.zeros(len(bank.points)))
-    figure = reference_view(splat, bank.points, np.zeros(len(bank.points), dtype=np.uint16), trajectory)
-    assert "all scans" in figure.get_suptitle()
-    save(figure, tmp_path / "merged.png", dpi=50)
 
 
 def test_one_point_makes_a_figure_and_none_is_refused(tmp_path, trajectory):
@@ -178,8 +168,8 @@ def test_one_point_makes_a_figure_and_none_is_refused(tmp_path, trajectory):
     view = PanoramaView.fit(point, viewpoint_on_track(point, trajectory)[0], width_px=200)
     splat = Splat(view)
     splat.add(point, np.array([3.0]))
-    save(reference_view(splat, point, np.array([1]), trajectory), tmp_path / "one.png", dpi=50)
+    save(reference_view(splat, point, np.array([1]), trajectory, **NAMED), tmp_path / "one.png", dpi=50)
     with pytest.raises(GeometryError, match="none of 0 points lies in the panorama"):
-        reference_view(Splat(view), point, np.array([1]), trajectory)
+        reference_view(Splat(view), point, np.array([1]), trajectory, **NAMED)
     with pytest.raises(GeometryError, match="none of 1 points lies more than 3 m"):
         PanoramaView.fit(np.zeros((1, 3)), np.zeros(3))

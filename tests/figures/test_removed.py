@@ -1,13 +1,11 @@
 """What each filter left out: the data behind the panels."""
 
-import logging
-
 import numpy as np
 import pandas as pd
 import pytest
 
+from tests.figures.conftest import artists as by_gid
 from thalweg.core import GeometryError
-from thalweg.figures import save
 from thalweg.figures.cloud.removed import Across, along_reach, removed_points
 from thalweg.lidar import REMOVED, REMOVED_POINTS, WORDS, Reason
 from thalweg.lidar.filters import reason_table
@@ -15,10 +13,6 @@ from thalweg.settings.sections import Filters
 
 FILTERS = Filters().model_dump()
 AZIMUTH_RAD = np.deg2rad(70.0)  # of the track in conftest
-
-
-def by_gid(artist, gid):
-    return artist.findobj(lambda found: found.get_gid() == gid)
 
 
 def world(along, left, up):
@@ -184,13 +178,3 @@ def test_a_trajectory_without_a_valid_node_is_refused(rng, trajectory, bank):
     trajectory.valid[:] = False
     with pytest.raises(GeometryError, match="without a valid node"):
         removed_points(removed, counts, bank.points, trajectory)
-
-
-def test_same_data_same_bytes_without_a_warning(rng, trajectory, bank, tmp_path, caplog):
-    removed, counts = sample(rng, trajectory)
-    with caplog.at_level(logging.WARNING):
-        for name in ("a.png", "b.png"):
-            figure = removed_points(removed, counts, bank.points, trajectory, filters=FILTERS, twin=True)
-            save(figure, tmp_path / name, dpi=60)
-    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
-    assert caplog.records == []

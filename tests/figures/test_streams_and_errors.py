@@ -5,16 +5,16 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from tests.figures.conftest import artists as by_gid
 from thalweg.core import InputError, unix_from_gps
 from thalweg.figures import save
-from thalweg.figures.survey.streams import draw_streams_in_time, streams_in_time, time_span
+from thalweg.figures.survey.streams import streams_in_time, time_span
 from thalweg.ingest import Gap, IntegrityReport, StreamTiming
 
 T0 = 178_649_913.4
 
 
-def by_gid(figure, gid):
-    return figure.findobj(lambda artist: artist.get_gid() == gid)
+NO_LAGS = pd.DataFrame({"lag_significant": []})
 
 
 @pytest.fixture
@@ -74,7 +74,7 @@ def bars(figure, gid):
 
 
 def test_bars_are_spans_on_the_utc_axis(reports):
-    found = bars(streams_in_time(reports), "stream")
+    found = bars(streams_in_time(reports, NO_LAGS), "stream")
     # Days since 1970 in float64 resolve 0.3 us.
     assert found == [
         (pytest.approx(float(unix_from_gps(T0 + 10)), abs=1e-5), pytest.approx(100.0, abs=1e-5), 0),
@@ -83,7 +83,7 @@ def test_bars_are_spans_on_the_utc_axis(reports):
 
 
 def test_gaps_and_unsynchronised_parts(reports):
-    figure = streams_in_time(reports)
+    figure = streams_in_time(reports, NO_LAGS)
     ((start, length, row),) = bars(figure, "gap")
     assert (start, length, row) == (
         pytest.approx(float(unix_from_gps(T0 + 50)), abs=1e-5),
@@ -103,7 +103,7 @@ def test_gaps_and_unsynchronised_parts(reports):
 
 
 def test_the_pps_is_drawn_where_it_was_locked(reports):
-    figure = streams_in_time(reports)
+    figure = streams_in_time(reports, NO_LAGS)
     lines = by_gid(figure, "pps")
     found = [tuple(np.asarray(line.get_xdata()) * 86_400 - float(unix_from_gps(T0))) for line in lines]
     # Days since 1970 in float64 resolve 0.3 us.
@@ -117,22 +117,20 @@ def test_a_part_before_the_first_gps_time_is_on_the_axis(reports):
 
 def test_a_gap_before_the_clock_was_set_has_no_place(reports):
     reports[0].gaps.append(Gap(t_start_s=float("nan"), duration_s=2.0))
-    figure = streams_in_time(reports)
+    figure = streams_in_time(reports, NO_LAGS)
     assert len(bars(figure, "gap")) == 1
     assert "2 gaps" in by_gid(figure, "stream-numbers")[0].get_text()
 
 
 def test_short_gaps_are_still_seen(reports):
     reports[0].gaps = [Gap(t_start_s=T0 + 50, duration_s=0.001)]
-    ((start, length, _),) = bars(streams_in_time(reports), "gap")
+    ((start, length, _),) = bars(streams_in_time(reports, NO_LAGS), "gap")
     assert length == pytest.approx(0.002 * 110, rel=1e-3)
     assert start + length / 2 == pytest.approx(float(unix_from_gps(T0 + 50.0005)), abs=1e-4)
 
 
-def test_rates_counts_and_certain_lags(reports, tmp_path):
-    for k, report in enumerate(reports):
-        report.write(tmp_path / f"{k}.integrity.json")
-    pd.DataFrame(
+def test_rates_counts_and_certain_lags(reports):
+    streams = pd.DataFrame(
         {
             "stream": ["lidar", "ins", "positions", "depth"],
             "lag_against": ["", "positions", "ins", "ins"],
@@ -140,9 +138,8 @@ def test_rates_counts_and_certain_lags(reports, tmp_path):
             "sigma_lag_s": [np.nan, 0.004, 0.115, np.nan],
             "lag_significant": [None, True, False, None],
         }
-    ).to_csv(tmp_path / "streams.csv", index=False)
-    files = [tmp_path / f"{k}.integrity.json" for k in range(len(reports))]
-    figure = draw_streams_in_time(reports=files, streams=tmp_path / "streams.csv", title="Test", twin=False)
+    )
+    figure = streams_in_time(reports, streams, title="Test")
     numbers = [t.get_text().replace("\N{NO-BREAK SPACE}", " ") for t in by_gid(figure, "stream-numbers")]
     assert numbers[0] == "753.5 packets/s, n = 2 000 000 points\n1 gap, longest 4 s; losses 3"
     assert numbers[1] == "50 states/s, n = 5 000 states\nLATE against positions by 250 ± 4 ms"
@@ -152,7 +149,7 @@ def test_rates_counts_and_certain_lags(reports, tmp_path):
 
 
 def test_ticks_are_utc(reports):
-    figure = streams_in_time(reports)
+    figure = streams_in_time(reports, NO_LAGS)
     figure.draw_without_rendering()
     ax = figure.axes[0]
     first = mdates.num2date(ax.get_xlim()[0])
@@ -162,9 +159,9 @@ def test_ticks_are_utc(reports):
 
 def test_only_streams_without_gps_time(tmp_path, reports):
     assert time_span(reports[2:]) == (0.0, 60.0)
-    save(streams_in_time(reports[2:]), tmp_path / "streams.png", dpi=60)
+    save(streams_in_time(reports[2:], NO_LAGS), tmp_path / "streams.png", dpi=60)
 
 
 def test_no_stream_is_refused():
     with pytest.raises(InputError, match="no stream to draw"):
-        streams_in_time([])
+        streams_in_time([], NO_LAGS)

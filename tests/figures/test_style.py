@@ -8,8 +8,8 @@ from matplotlib.figure import Figure
 
 from thalweg.core import CoverageError, InputError
 from thalweg.figures import style
-from thalweg.figures.calibration.cones import draw_cone_frame
 from thalweg.figures.survey.maps import survey_map
+from thalweg_lab.figures.cone_frame import cone_frame
 
 
 def texts(figure):
@@ -94,7 +94,7 @@ def test_length_text(metres, text):
 
 
 def test_legend_below_fits_the_page():
-    draw = style.styled(lambda: style.new_figure(80.0, "n = 0", twin=False))
+    draw = style.styled(lambda: style.new_figure(80.0, "n = 0"))
     figure = draw()
     ax = figure.add_subplot()
     for i in range(7):
@@ -108,7 +108,7 @@ def test_legend_below_fits_the_page():
 
 @style.styled
 def two_panels(table: pd.DataFrame, words: str = "") -> Figure:
-    figure = style.new_figure(80.0, f"mean {table['b'].mean():+.1f} cm", twin=False)
+    figure = style.new_figure(80.0, f"mean {table['b'].mean():+.1f} cm")
     for ax, name in zip(figure.subplots(1, 2), "ab", strict=True):
         drawn = ax.scatter(table["x"], table[name], c=table[name])
         figure.colorbar(drawn, ax=ax)
@@ -158,7 +158,7 @@ def test_a_mistake_of_the_program_stays_one():
 def test_a_line_of_one_point_is_seen():
     @style.styled
     def one() -> Figure:
-        figure = style.new_figure(80.0, "n = 1", twin=False)
+        figure = style.new_figure(80.0, "n = 1")
         ax = figure.subplots()
         ax.plot([1.0, np.nan], [2.0, 3.0])
         ax.plot([1.0, 2.0], [2.0, 3.0])
@@ -170,7 +170,7 @@ def test_a_line_of_one_point_is_seen():
 def test_the_panel_above_takes_over_the_shared_axis():
     @style.styled
     def two() -> Figure:
-        figure = style.new_figure(80.0, "n = 2", twin=False)
+        figure = style.new_figure(80.0, "n = 2")
         above, below = figure.subplots(2, 1, sharex=True)
         above.plot([1.0, 2.0], [2.0, 3.0])
         below.plot([1.0, 2.0], [np.nan, np.nan])
@@ -189,7 +189,7 @@ def test_dollar_signs_in_names_are_no_formula(tmp_path):
 
     @style.styled
     def figure_of(words):
-        figure = style.new_figure(90.0, words, twin=False)
+        figure = style.new_figure(90.0, words)
         left, right = figure.subplots(1, 2)
         left.barh([words, "b"], [1.0, 2.0], label=words)
         left.set(xlabel=words, title=words)
@@ -213,6 +213,6 @@ def test_dollar_signs_in_names_are_no_formula(tmp_path):
 
 
 def test_a_sketch_shows_its_formulas():
-    found = [t for t in draw_cone_frame().findobj(mpl.text.Text) if "$" in t.get_text()]
+    found = [t for t in cone_frame().findobj(mpl.text.Text) if "$" in t.get_text()]
     assert len(found) == 8
     assert all(each.get_parse_math() for each in found)

@@ -6,14 +6,11 @@ import numpy as np
 import pytest
 from matplotlib.colors import LogNorm
 
+from tests.figures.conftest import artists as by_gid
 from thalweg.core import GeometryError, unix_from_gps
 from thalweg.figures import save
 from thalweg.figures.survey import sigma_norm
 from thalweg.figures.survey.maps import gap_intervals, trajectory_sheet
-
-
-def by_gid(figure, gid):
-    return figure.findobj(lambda artist: artist.get_gid() == gid)
 
 
 def with_valid(trajectory, *holes):
@@ -117,9 +114,3 @@ def test_no_pose_and_no_sigma_are_refused(trajectory):
     unknown = dataclasses.replace(trajectory, cov_pose_wcs=np.full((400, 6, 6), np.nan))
     with pytest.raises(GeometryError, match="no valid node has a finite sigma"):
         trajectory_sheet(unknown)
-
-
-def test_same_trajectory_same_bytes(tmp_path, trajectory):
-    for name in ("a.png", "b.png"):
-        save(trajectory_sheet(trajectory, twin=True), tmp_path / name, dpi=50)
-    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()

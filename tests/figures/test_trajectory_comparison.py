@@ -13,7 +13,7 @@ from thalweg.core import CoverageError, InputError
 from thalweg.figures import number, save
 from thalweg.figures.accuracy import centimetres
 from thalweg.figures.solutions import Costs, computing_seconds, trajectory_comparison_page
-from thalweg.figures.solutions.comparison import STYLE, chain_histograms, chains_by_range
+from thalweg.figures.solutions.comparison import chain_histograms, chains_by_range
 from thalweg.figures.solutions.page import (
     TWIN_NOTE,
     certainty,
@@ -66,7 +66,7 @@ def control():
 
 
 def test_ranges_of_all_chains(ranges, look):
-    figure = chains_by_range(ranges, outlier_rule="without 5 NMAD", title="Test", twin=True)
+    figure = chains_by_range(ranges, outlier_nmads=5.0, title="Test", twin=True)
     words = look.texts(figure)
     for text in (
         "digital twin",
@@ -75,11 +75,11 @@ def test_ranges_of_all_chains(ranges, look):
         "published curves cross between 11 and",
         "INS, T Table 3.1",
         "camera, P2 Table 1",
-        "without 5 NMAD",
+        "farther than 5 NMAD",
     ):
         assert text in words, text
     kept = ranges[ranges["points"] == "without outliers"]
-    for name in STYLE:
+    for name in ("ins", "camera", "fused"):
         (line,) = look.artists(figure, f"observed-{name}")
         np.testing.assert_allclose(line.get_ydata(), 1e3 * kept[f"{name}_rmse_observed_m"])
         (line,) = look.artists(figure, f"predicted-{name}")
@@ -133,7 +133,7 @@ def test_nothing_to_draw_is_an_error(ranges):
 
 def test_how_certain_a_difference_is(chains):
     table = chains_table(chains)
-    assert "is significant (effective n" in certainty(table, "fused", "ins")
+    assert "is significant (with " in certainty(table, "fused", "ins")
     # the same with few independent values
     of_n = table["quantity"] == "independent_values"
     table.loc[of_n, ["ins", "camera", "fused"]] = 3.0

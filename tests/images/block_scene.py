@@ -8,8 +8,8 @@ from scipy.spatial.transform import Rotation
 
 from thalweg.core import ArrayF, Camera, exp_rotation
 from thalweg.images.bundle import AdjustedBlock
-from thalweg.images.bundle.normals import views
-from thalweg.images.bundle.problem import Problem
+from thalweg.images.bundle.normals import Correlation, linearised, reduced_system, tracks_of, views
+from thalweg.images.bundle.problem import Layout, Problem, State
 from thalweg.images.model import ControlMarks, ControlPoints, ImageBlock
 from thalweg.settings.sections import BlockAdjustment
 
@@ -180,3 +180,38 @@ def normalised(found: AdjustedBlock, truth: Truth) -> tuple[ArrayF, float]:
     Q = found.cov[:n, :n]
     each = [e[k] @ np.linalg.solve(Q[6 * k : 6 * k + 6, 6 * k : 6 * k + 6], e[k]) / 6 for k in range(len(e))]
     return np.array(each), float(e.ravel() @ np.linalg.solve(Q, e.ravel()) / n)
+
+
+def dense(
+    problem: Problem, layout: Layout, x: State, model: Correlation, along: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Normal matrix and right side with all points as unknowns, by single matrix products."""
+    b, u, p = problem.block, len(layout.names), len(problem.block.points_block_m)
+    sigma = b.sigma_px
+    view = views(x.X[b.mark_point], x.C[b.mark_image])
+    d = np.linalg.norm(view[:, None] - view[None], axis=2)
+    alike = np.exp(-((d / model.reach_rad) ** model.power))
+    same = b.mark_point[:, None] == b.mark_point[None]
+    W = [
+        np.linalg.inv(
+            np.where(same, (s * model.slow) ** 2 * alike + (w * model.white) ** 2 * np.eye(len(sigma)), 0.0)
+            * np.outer(sigma, sigma)
+        )
+        for w, s in ((1.0, 1.0), (model.white_across, model.slow_across))
+    ]
+    part = linearised(problem, layout, x, b.mark_image, x.X[b.mark_point], b.mark_px)
+    J = np.zeros((len(sigma), 2, u + 3 * p))
+    for k in range(len(sigma)):
+        pose = 6 * layout.exposure[b.mark_image[k]]
+        J[k, :, pose : pose + 6] = part.by_pose[k]
+        J[k, :, layout.n_poses : layout.n_poses + layout.n_interior] = part.by_rest[k]
+        J[k, :, u + 3 * b.mark_point[k] : u + 3 * b.mark_point[k] + 3] = part.by_point[k]
+    turn = np.stack([along, np.stack([-along[:, 1], along[:, 0]], axis=1)], axis=1)
+    J, r = turn @ J, turn @ part.residual[:, :, None]
+    N, g = (sum(J[:, a].T @ W[a] @ v[:, a] for a in (0, 1)) for v in (J, r))
+    # what does not touch tie points is taken from the code under test and checked by itself below
+    empty = tracks_of(problem, np.zeros(len(sigma), np.bool_), sigma, view)
+    rest = reduced_system(problem, layout, x, empty, model, problem.marks.sigma_px, 0.0)
+    N[:u, :u] += rest.N
+    g[:u, 0] += rest.g
+    return N, g[:, 0]

@@ -87,40 +87,6 @@ def test_derivatives_are_those_of_finite_differences(rng: np.random.Generator, m
         np.testing.assert_allclose(numeric, here.by_point[:, :, axis], rtol=1e-5, atol=2e-4)
 
 
-def dense(
-    problem: Problem, layout: Layout, x: State, model: Correlation, along: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Normal matrix and right side with all points as unknowns, by single matrix products."""
-    b, u, p = problem.block, len(layout.names), len(problem.block.points_block_m)
-    sigma = b.sigma_px
-    view = views(x.X[b.mark_point], x.C[b.mark_image])
-    d = np.linalg.norm(view[:, None] - view[None], axis=2)
-    alike = np.exp(-((d / model.reach_rad) ** model.power))
-    same = b.mark_point[:, None] == b.mark_point[None]
-    W = [
-        np.linalg.inv(
-            np.where(same, (s * model.slow) ** 2 * alike + (w * model.white) ** 2 * np.eye(len(sigma)), 0.0)
-            * np.outer(sigma, sigma)
-        )
-        for w, s in ((1.0, 1.0), (model.white_across, model.slow_across))
-    ]
-    part = linearised(problem, layout, x, b.mark_image, x.X[b.mark_point], b.mark_px)
-    J = np.zeros((len(sigma), 2, u + 3 * p))
-    for k in range(len(sigma)):
-        J[k, :, 6 * b.mark_image[k] : 6 * b.mark_image[k] + 6] = part.by_pose[k]
-        J[k, :, layout.n_poses : layout.n_poses + layout.n_interior] = part.by_rest[k]
-        J[k, :, u + 3 * b.mark_point[k] : u + 3 * b.mark_point[k] + 3] = part.by_point[k]
-    turn = np.stack([along, np.stack([-along[:, 1], along[:, 0]], axis=1)], axis=1)
-    J, r = turn @ J, turn @ part.residual[:, :, None]
-    N, g = (sum(J[:, a].T @ W[a] @ v[:, a] for a in (0, 1)) for v in (J, r))
-    # what does not touch tie points is taken from the code under test and checked by itself below
-    empty = tracks_of(problem, np.zeros(len(sigma), np.bool_), sigma, view)
-    rest = reduced_system(problem, layout, x, empty, model, problem.marks.sigma_px, 0.0)
-    N[:u, :u] += rest.N
-    g[:u, 0] += rest.g
-    return N, g[:, 0]
-
-
 @pytest.mark.parametrize(
     "model",
     [
@@ -141,7 +107,7 @@ def test_eliminating_points_changes_nothing(rng: np.random.Generator, model: Cor
     found = reduced_system(problem, layout, x, tracks, model, problem.marks.sigma_px, 0.0)
     # the scene's marks are sorted by point, as those of tracks are
     np.testing.assert_array_equal(tracks.mark, np.arange(len(b.mark_image)))
-    N, g = dense(problem, layout, x, model, along)
+    N, g = block_scene.dense(problem, layout, x, model, along)
     V = N[u:, u:]
     S = N[:u, :u] - N[:u, u:] @ np.linalg.solve(V, N[u:, :u])
     right = g[:u] - N[:u, u:] @ np.linalg.solve(V, g[u:])
@@ -325,7 +291,7 @@ def test_covariance_is_that_of_the_dense_system() -> None:
     # a draw in which no control point is left out: their rows are zero here
     problem, _ = scene(np.random.default_rng(0), images=8, points=60)
     found = adjust_plain(problem)
-    N, _ = dense(found.problem, found.layout, found.x, found.correlation, found.tracks.along)
+    N, _ = block_scene.dense(found.problem, found.layout, found.x, found.correlation, found.tracks.along)
     u = len(found.layout.names)
     cov = np.linalg.inv(N)
     np.testing.assert_allclose(found.cov, cov[:u, :u], rtol=1e-4, atol=1e-12)

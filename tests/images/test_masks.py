@@ -159,12 +159,6 @@ def test_other_light_and_no_hull(recording, tmp_path):
     assert (table["hull_share"] == 0).all()
 
 
-def test_the_same_images_give_the_same_bytes(series, automatic, tmp_path):
-    make_masks(series.files, tmp_path)
-    for f in series.files:
-        assert (tmp_path / f"{f.name}.png").read_bytes() == (automatic[0] / f"{f.name}.png").read_bytes()
-
-
 def test_large_images_are_analysed_reduced(series, tmp_path):
     large = []
     for f in series.files[:9]:
@@ -182,19 +176,18 @@ def test_large_images_are_analysed_reduced(series, tmp_path):
     assert kept > 0.83
 
 
-@pytest.mark.parametrize("ground", ["lawn", "ice"])
-def test_ground_that_mirrors_nothing_is_no_water(series, tmp_path, ground):
+def test_ground_that_mirrors_nothing_is_no_water(series, tmp_path):
     """The same banks behind ground of another colour and texture; with ``least_mirror: -1`` it is water."""
-    colour, contrast = {"lawn": ((45, 110, 75), 14), "ice": ((200, 195, 185), 8)}[ground]
+    lawn, contrast = np.array((45, 110, 75)), 14
     files, below = [], []
     for k, file in enumerate(series.files):
         image, land = cv2.imread(str(file)), series.land[k]
         h, w = land.shape
         last = np.where(land.any(axis=0), h - np.argmax(land[::-1], axis=0), h // 2)
         where = (np.arange(h)[:, None] >= last) & ~series.hull[k]
-        rng = np.random.default_rng([k, len(ground)])
+        rng = np.random.default_rng([k, 4])
         grains = sum(cv2.resize(rng.normal(0, 1, (h // s + 2, w // s + 2)), (w, h)) for s in (1, 2, 4))
-        image[where] = np.clip(np.array(colour) + contrast * grains[..., None], 0, 255)[where]
+        image[where] = np.clip(lawn + contrast * grains[..., None], 0, 255)[where]
         files.append(tmp_path / file.name)
         cv2.imwrite(str(files[-1]), image)
         below.append(where)
@@ -202,9 +195,8 @@ def test_ground_that_mirrors_nothing_is_no_water(series, tmp_path, ground):
     assert (read(tmp_path / "masks", files)[np.stack(below)] > 0).mean() > 0.95
     assert (table["water_share"] == 0).all()
     assert "cannot tell whether the foreground is water" in table.attrs["notes"][0]
-    if ground == "lawn":
-        told = make_masks(files, tmp_path / "water", MaskSettings(least_mirror=-1.0))
-        assert (told["water_share"] > 0.25).all()
+    told = make_masks(files, tmp_path / "water", MaskSettings(least_mirror=-1.0))
+    assert (told["water_share"] > 0.25).all()
 
 
 def test_a_moored_boat_is_no_water(series, tmp_path):

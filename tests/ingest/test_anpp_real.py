@@ -1,5 +1,6 @@
 """The ANPP reader on the manufacturer's own log, field by field against the manufacturer's SDK."""
 
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +15,9 @@ from advanced_navigation.anpp_packets.an_packet_30 import SatellitesPacket
 from advanced_navigation.anpp_packets.an_packet_53 import ExternalDepthPacket
 from advanced_navigation.anpp_packets.an_packet_protocol import ANDecoder, ANPacket
 
+from thalweg.ingest import PoseLog
 from thalweg.ingest.anpp import packets as ap, read_anpp
 from thalweg.ingest.anpp.packets import build_clock, collect
-from thalweg.ingest.anpp.reader import AnppLog
 
 pytestmark = pytest.mark.real
 
@@ -27,7 +28,7 @@ def path(data_dir: Path) -> Path:
 
 
 @pytest.fixture(scope="module")
-def log(path: Path) -> AnppLog:
+def log(path: Path) -> PoseLog:
     return read_anpp([path])
 
 
@@ -50,28 +51,23 @@ def decoded(sdk: list[ANPacket], kind: type[Any]) -> list[Any]:
     return out
 
 
-def test_counts_of_the_provenance(log: AnppLog) -> None:
-    assert sum(log.packet_counts.values()) == 632
-    assert len(log.packet_counts) == 68
-    assert log.packet_counts[20] == log.packet_counts[28] == 283
-    assert len(log.states) == 283
-    assert {n for k, n in log.packet_counts.items() if k not in (20, 28)} == {1}
+def test_counts_of_the_provenance(path: Path, log: PoseLog, sdk: list[ANPacket]) -> None:
+    counts = collect([path]).by_id
+    assert (sum(counts.values()), len(counts)) == (632, 68)
+    assert len(log.states) == counts[20] == counts[28] == 283
+    assert {n for k, n in counts.items() if k not in (20, 28)} == {1}
+    assert counts == Counter(int(p.id) for p in sdk)
     assert log.report.bytes_read == 46866
     assert log.report.losses == {"bytes_outside_packets": 104, "packets_cut_at_end": 1}
 
 
-def test_counts_equal_the_sdk(log: AnppLog, sdk: list[ANPacket]) -> None:
-    ids, n = np.unique([int(p.id) for p in sdk], return_counts=True)
-    assert log.packet_counts == dict(zip(ids.tolist(), n.tolist(), strict=True))
-
-
-def test_time_and_gaps_of_the_provenance(log: AnppLog) -> None:
+def test_time_and_gaps_of_the_provenance(log: PoseLog) -> None:
     report = log.report
     t = log.states["t_device_s"].to_numpy()
     assert not report.synchronised
     assert report.time_scale == "device"
     assert log.states["t_gps_s"].isna().all()
-    assert log.depth["t_gps_s"].isna().all()
+    assert log.depths["t_gps_s"].isna().all()
     assert any("UTC was never initialised: all 283 states" in note for note in report.notes)
     # 2023-07-11T14:59:37.394174Z and 15:03:15.544171Z; float64 resolves 240 ns at today's Unix times
     assert report.t_first_s == pytest.approx(1689087577.394174, abs=5e-7)
@@ -82,7 +78,7 @@ def test_time_and_gaps_of_the_provenance(log: AnppLog) -> None:
     assert report.rates_hz["states"] == pytest.approx(20.0, rel=1e-4)  # stamps are whole microseconds
 
 
-def test_status_and_device_of_the_provenance(log: AnppLog) -> None:
+def test_status_and_device_of_the_provenance(log: PoseLog) -> None:
     assert (log.states["system_status"] == 0x4000).all()
     assert (log.states["filter_status"] == 0x1201).all()
     assert (log.states["fix"] == "none").all()
@@ -91,7 +87,7 @@ def test_status_and_device_of_the_provenance(log: AnppLog) -> None:
     assert any("GNSS antenna disconnected in 283 of 283" in note for note in log.report.notes)
 
 
-def test_every_state_equals_the_sdk(log: AnppLog, sdk: list[ANPacket]) -> None:
+def test_every_state_equals_the_sdk(log: PoseLog, sdk: list[ANPacket]) -> None:
     states = decoded(sdk, SystemStatePacket)
     assert len(states) == len(log.states)
     rad = np.deg2rad  # degrees and back cost a last bit of a double: 1e-15 relative
@@ -110,7 +106,7 @@ def test_every_state_equals_the_sdk(log: AnppLog, sdk: list[ANPacket]) -> None:
         assert ap.STATE_FIX.tolist().index(row.fix) == p.filter_status.gnss_fix_type.value
 
 
-def test_single_packets_equal_the_sdk(path: Path, log: AnppLog, sdk: list[ANPacket]) -> None:
+def test_single_packets_equal_the_sdk(path: Path, log: PoseLog, sdk: list[ANPacket]) -> None:
     records = collect([path])
     (device,) = decoded(sdk, DeviceInformationPacket)
     row = records.of(ap.DEVICE).fields[0]
@@ -142,7 +138,7 @@ def test_single_packets_equal_the_sdk(path: Path, log: AnppLog, sdk: list[ANPack
     assert [row["lat"], row["lon"], row["height"]] == gnss.position
     assert row["sigma"].tolist() == gnss.position_standard_deviation
     assert int(row["flags"]) & 7 == gnss.flags.fix_type == 0
-    assert log.gnss.empty
+    assert log.positions.empty
     (used,) = decoded(sdk, SatellitesPacket)
     assert records.of(ap.SATELLITES).fields["used"][0].tolist() == [
         used.gps_satellites,
@@ -152,7 +148,7 @@ def test_single_packets_equal_the_sdk(path: Path, log: AnppLog, sdk: list[ANPack
         used.sbas_satellites,
     ]
     (depth,) = decoded(sdk, ExternalDepthPacket)
-    assert log.depth["depth_m"].tolist() == [depth.depth]
+    assert log.depths["depth_m"].tolist() == [depth.depth]
 
 
 def test_calendar_and_unix_packets_agree_with_the_states(path: Path) -> None:
@@ -164,7 +160,7 @@ def test_calendar_and_unix_packets_agree_with_the_states(path: Path) -> None:
     assert (np.diff(clock.t_device_s) >= 0).all()
 
 
-def test_the_log_twice_is_the_log_once(path: Path, log: AnppLog) -> None:
+def test_the_log_twice_is_the_log_once(path: Path, log: PoseLog) -> None:
     twice = read_anpp([path, path])
     assert len(twice.states) == 283
     assert twice.report.counts["repeated_packets_dropped"] >= 283

@@ -1,6 +1,7 @@
 """Logs of ArduPilot: made here message by message, and real ones beside pymavlink's own counts."""
 
 import struct
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -9,10 +10,10 @@ import pytest
 from PIL import Image
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from tests.conftest import check_whole
+from tests.ingest.writers import read_or_refused
 from thalweg.bathymetry import read_soundings
 from thalweg.cli import main
-from thalweg.core import InputError, ThalwegError, gps_from_unix, gps_from_week
+from thalweg.core import InputError, gps_from_unix, gps_from_week
 from thalweg.ingest import TrackOptions
 from thalweg.ingest.photos import read_image_stamps
 from thalweg.ingest.recorders import USUAL_LAG_S, read_ardupilot
@@ -332,16 +333,8 @@ def test_one_file_stands_in_each_stream_that_it_holds(
 
 
 def test_damaged_logs_are_read_or_refused(tmp_path: Path, fuzz: Any) -> None:
-    path = tmp_path / "fuzz.bin"
-    for data in fuzz.inputs(boat_log()[:20_000], telemetry()[:9_000]):
-        path.write_bytes(data)
-        try:
-            log = read_ardupilot([path], TrackOptions())
-        except ThalwegError as error:
-            check_whole(error)
-            continue
-        fuzz.was_read(reported=any(log.report.losses.values()))
-        assert log.positions is not None
+    read, logs = partial(read_ardupilot, options=TrackOptions()), (boat_log()[:20_000], telemetry()[:9_000])
+    for data, log in read_or_refused(fuzz, tmp_path / "fuzz.bin", read, *logs):
         assert len(log.states) + len(log.positions) <= len(data) / 12
         for table in (log.states, log.positions):
             assert table["lat_deg"].dropna().abs().le(90).all()

@@ -313,7 +313,6 @@ def test_positions_at_no_place() -> None:
     frame = GNSS_POSITION.empty_table().to_pandas()
     frame = frame.reindex(range(3)).assign(lat_deg=[0.0, 51.0, 95.0], lon_deg=[0.0, 13.0, 13.0])
     log = PositionLog(report=IntegrityReport(stream="gnss", format="", files=[]), positions=frame)
-    assert log.positions is not None
     assert log.positions["lat_deg"].tolist() == [51.0]
     assert log.report.losses == {"positions_at_no_place": 2}
 

@@ -102,7 +102,6 @@ def test_positions_lie_on_the_line_through_the_stamps(tmp_path: Path) -> None:
     assert is_gopro(path.read_bytes(), 0)
     assert recognise(path) == "gopro"
     log = read_gopro([path], TrackOptions())
-    assert log.positions is not None
     t_s = log.positions["t_gps_s"].to_numpy()
     assert t_s == pytest.approx(gps_from_unix(UNIX_S + 1 + np.arange(120) / 20), abs=1e-4)
     assert log.positions["lat_deg"].to_numpy() == pytest.approx(51.0 + 1e-6 * (20 + np.arange(120)), abs=1e-9)
@@ -127,7 +126,6 @@ def test_payloads_of_unequal_length_lie_on_one_line(tmp_path: Path) -> None:
 def test_a_recent_camera_states_the_time_of_each_position(tmp_path: Path) -> None:
     """Where both are there the older stream, which would be spread, is not taken."""
     log = read_gopro([video(tmp_path, gps9(), gps5(1))], TrackOptions())
-    assert log.positions is not None
     expected = dt.datetime(2026, 5, 12, 10, tzinfo=dt.UTC).timestamp() + 0.1 * np.arange(1, 10)
     assert log.positions["t_gps_s"].to_numpy() == pytest.approx(gps_from_unix(expected), abs=1e-4)
     assert log.report.counts["positions_without_fix"] == 1
@@ -156,7 +154,6 @@ def test_a_real_track_is_as_exiftool_reads_it(data_dir: Path) -> None:
     first says 23:45:14.000, and lies on no line with them.
     """
     log = read_gopro([data_dir / "today/gopro_max_gpmf/max-heromode.mp4"], TrackOptions())
-    assert log.positions is not None
     assert len(log.positions) == 191
     assert log.report.counts["payloads_with_a_stamp_of_another_second"] == 1
     unix_s = unix_from_gps(log.positions["t_gps_s"].to_numpy())

@@ -1,12 +1,13 @@
 """Tables that loggers write: Deeper's export, a track, depths, and which table is which."""
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from tests.conftest import check_whole
-from thalweg.core import InputError, ThalwegError, gps_from_unix
+from tests.ingest.writers import read_or_refused
+from thalweg.core import InputError, gps_from_unix
 from thalweg.ingest import TrackOptions
 from thalweg.ingest.recorders import read_deeper, read_track_table
 from thalweg.ingest.registry import (
@@ -46,7 +47,6 @@ def test_a_deeper_export_gives_depths_and_a_track(tmp_path: Path) -> None:
     log = read_deeper([path], TrackOptions())
     assert (log.report.counts["pings"], log.report.losses["bad_lines"]) == (22, 1)
     assert log.report.counts["pings_without_bottom"] == 2, "no sea is so deep"
-    assert log.soundings is not None
     assert log.soundings["depth_m"].tolist() == [k % 7 + 0.5 for k in range(20)]
     table, _ = read_positions("pos", [path], **POSITIONS)  # type: ignore[arg-type]
     assert table["t_gps_s"].iloc[3] == pytest.approx(float(gps_from_unix(UNIX_MS / 1000 + 6.0)))
@@ -103,16 +103,8 @@ def test_other_tables_are_no_logs(tmp_path: Path, head: str, kind: str) -> None:
 
 
 def test_damaged_exports_are_read_or_refused(tmp_path: Path, fuzz: Any) -> None:
-    path = tmp_path / "fuzz.csv"
-    for data in fuzz.inputs(deeper(60).encode()):
-        path.write_bytes(data)
-        try:
-            log = read_deeper([path], TrackOptions())
-        except ThalwegError as error:
-            check_whole(error)
-            continue
-        fuzz.was_read(reported=any(log.report.losses.values()))
-        assert log.depths is not None
+    read = partial(read_deeper, options=TrackOptions())
+    for _, log in read_or_refused(fuzz, tmp_path / "fuzz.csv", read, deeper(60).encode()):
         assert log.depths["depth_m"].abs().max() < 11_034
     fuzz.check(read=0.9, troubled=0.2)
 
@@ -122,7 +114,6 @@ def test_real_loggers(data_dir: Path) -> None:
     """Rows, limits and times as pandas reads them (README of each folder)."""
     today = data_dir / "today"
     log = read_deeper([next((today / "deeper_csv").glob("*.csv"))], TrackOptions())
-    assert log.soundings is not None
     depth, lat = log.soundings["depth_m"], log.soundings["latitude"]
     assert (len(depth), depth.min(), depth.max(), depth.median()) == (2068, 2.768, 18.056, 11.114)
     assert [round(x, 6) for x in (lat.min(), lat.max())] == [35.160759, 35.165169]

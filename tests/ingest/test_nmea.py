@@ -12,21 +12,17 @@ import pandas as pd
 import pytest
 from pynmeagps import NMEAReader
 
+from tests.ingest.writers import nmea, read_or_refused
 from thalweg.cli import main
-from thalweg.core import InputError, ThalwegError, gps_from_unix, gps_from_week, write_table
-from thalweg.ingest import DEPTH, GNSS_POSITION
+from thalweg.core import InputError, gps_from_unix, gps_from_week, write_table
+from thalweg.ingest import DEPTH, GNSS_POSITION, PositionLog
 from thalweg.ingest.nmea import read_nmea
-from thalweg.ingest.nmea.reader import NmeaLog
 
 GGA = "GPGGA,{},5251.0094,N,00518.8172,E,4,12,0.60,10.500,M,46.800,M,1.2,0123"
 RMC = "GPRMC,{},A,5251.0093,N,00518.8170,E,5.6,230.5,{},1.4,E,A"
 
 
-def sentence(body: str) -> str:
-    return f"${body}*{reduce(xor, body.encode()):02X}\r\n"
-
-
-def log_of(tmp_path: Path, text: str | bytes, date: dt.date | None = None) -> NmeaLog:
+def log_of(tmp_path: Path, text: str | bytes, date: dt.date | None = None) -> PositionLog:
     path = tmp_path / "boat.log"
     path.write_bytes(text if isinstance(text, bytes) else text.encode())
     return read_nmea([path], date)
@@ -147,7 +143,7 @@ def test_same_depths_and_heights_as_gpsd(data_dir: Path) -> None:
 
 
 def test_gga_gives_ellipsoidal_height_and_fix(tmp_path: Path) -> None:
-    log = log_of(tmp_path, sentence(RMC.format("094735", "200818")) + sentence(GGA.format("094736.25")))
+    log = log_of(tmp_path, nmea(RMC.format("094735", "200818")) + nmea(GGA.format("094736.25")))
     row = log.positions.iloc[1]
     assert row["h_ell_m"] == pytest.approx(57.3)  # 10.5 + 46.8
     assert (row["fix"], row["n_sats"], row["age_s"]) == ("fixed", 12, 1.2)
@@ -168,7 +164,7 @@ def test_gga_gives_ellipsoidal_height_and_fix(tmp_path: Path) -> None:
     ),
 )
 def test_gga_quality(tmp_path: Path, quality: str, fix: str) -> None:
-    log = log_of(tmp_path, sentence(GGA.format("094736").replace("E,4,12", f"E,{quality},12")))
+    log = log_of(tmp_path, nmea(GGA.format("094736").replace("E,4,12", f"E,{quality},12")))
     assert log.positions["fix"][0] == fix
 
 
@@ -179,7 +175,7 @@ def test_gst_becomes_a_covariance(tmp_path: Path) -> None:
     covariance = a**2 * np.outer(axis, axis) + b**2 * np.outer(across, across)
     east, north = np.sqrt(np.diag(covariance))
     gst = f"GPGST,094736,0.1,{a},{b},30.0,{north:.6f},{east:.6f},0.07"
-    row = log_of(tmp_path, sentence(GGA.format("094736")) + sentence(gst)).positions.iloc[0]
+    row = log_of(tmp_path, nmea(GGA.format("094736")) + nmea(gst)).positions.iloc[0]
     # six decimals in the sentence
     assert (row["sigma_east_m"], row["sigma_north_m"]) == pytest.approx((east, north), abs=1e-6)
     assert row["sigma_up_m"] == 0.07
@@ -188,12 +184,8 @@ def test_gst_becomes_a_covariance(tmp_path: Path) -> None:
 
 
 def test_depths_of_all_sentences(tmp_path: Path) -> None:
-    text = (
-        sentence("SDDPT,5.3,-0.4,100.0")
-        + sentence("IIDBT,7.5,f,2.3,M,1.2,F")
-        + sentence("SDDBS,10.0,f,,M,,F")
-    )
-    text += sentence("SDDBT,,f,,M,1.0,F") + sentence("SDDPT,,") + sentence("SDDPT,4.0,")
+    text = nmea("SDDPT,5.3,-0.4,100.0") + nmea("IIDBT,7.5,f,2.3,M,1.2,F") + nmea("SDDBS,10.0,f,,M,,F")
+    text += nmea("SDDBT,,f,,M,1.0,F") + nmea("SDDPT,,") + nmea("SDDPT,4.0,")
     log = log_of(tmp_path, text)
     # metres first, then feet (0.3048 m), then fathoms (1.8288 m)
     np.testing.assert_allclose(log.depths["depth_m"], [5.3, 2.3, 3.048, 1.8288, 4.0], rtol=1e-15)
@@ -204,11 +196,11 @@ def test_depths_of_all_sentences(tmp_path: Path) -> None:
 
 
 def test_zero_is_no_bottom_and_water_and_tilt_are_read(tmp_path: Path) -> None:
-    text = sentence(RMC.format("094736", "200818"))
-    text += sentence("SDDPT,0.00,0.1") + sentence("SDDBT,0.0,f,0.0,M,0.0,F") + sentence("SDDPT,2.5,0.1")
+    text = nmea(RMC.format("094736", "200818"))
+    text += nmea("SDDPT,0.00,0.1") + nmea("SDDBT,0.0,f,0.0,M,0.0,F") + nmea("SDDPT,2.5,0.1")
     # the water's temperature twice, and pitch and roll among other transducers
-    text += sentence("SDMTW,9.8,C") + sentence("SDMTW,10.2,C") + sentence("SDMTW,,C")
-    text += sentence("SDXDR,C,21.0,C,AIR,A,-1.5,D,PTCH,A,0.75,D,ROLL") + sentence("SDXDR,A,2.0,D,Roll")
+    text += nmea("SDMTW,9.8,C") + nmea("SDMTW,10.2,C") + nmea("SDMTW,,C")
+    text += nmea("SDXDR,C,21.0,C,AIR,A,-1.5,D,PTCH,A,0.75,D,ROLL") + nmea("SDXDR,A,2.0,D,Roll")
     log = log_of(tmp_path, text)
     assert list(log.depths["depth_m"]) == [0.0, 0.0, 2.5]
     assert (log.report.counts["depths"], log.report.counts["no_bottom"]) == (1, 2)
@@ -221,14 +213,14 @@ def test_zero_is_no_bottom_and_water_and_tilt_are_read(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("body", ["SDMTW,50.0,F", "SDMTW,99.0,C", "SDXDR,A,120.0,D,PITCH"])
 def test_impossible_temperatures_and_tilts_are_malformed(tmp_path: Path, body: str) -> None:
-    log = log_of(tmp_path, sentence(RMC.format("094736", "200818")) + sentence(body))
+    log = log_of(tmp_path, nmea(RMC.format("094736", "200818")) + nmea(body))
     assert log.report.losses["malformed_sentences"] == 1
     assert not log.report.details.keys() & {"water_temperature_c", "pitch_deg"}
 
 
 def test_a_lone_depth_takes_the_time_before_it(tmp_path: Path) -> None:
-    dpt = sentence("SDDPT,5.3,0.4")
-    text = dpt + sentence(RMC.format("094736", "200818")) + dpt + sentence(GGA.format("094737")) + dpt
+    dpt = nmea("SDDPT,5.3,0.4")
+    text = dpt + nmea(RMC.format("094736", "200818")) + dpt + nmea(GGA.format("094737")) + dpt
     log = log_of(tmp_path, text)
     np.testing.assert_array_equal(log.depths["t_day_s"], [np.nan, 35256.0, 35257.0])
     second = log.depths["t_gps_s"] - gps(2018, 8, 20, 9, 47, 36)
@@ -238,9 +230,9 @@ def test_a_lone_depth_takes_the_time_before_it(tmp_path: Path) -> None:
 @pytest.mark.parametrize("given", [dt.date(2018, 8, 20), None])
 def test_midnight(tmp_path: Path, given: dt.date | None) -> None:
     times = ["235958", "235959", "000000", "000001"]
-    text = "".join(sentence(GGA.format(t)) + sentence("SDDPT,5.3,0.4") for t in times)
+    text = "".join(nmea(GGA.format(t)) + nmea("SDDPT,5.3,0.4") for t in times)
     if given is None:  # the date comes late, from the new day
-        text += sentence("GPZDA,000001,21,08,2018,00,00")
+        text += nmea("GPZDA,000001,21,08,2018,00,00")
     log = log_of(tmp_path, text, given)
     expected = gps(2018, 8, 20, 23, 59, 58) + np.arange(4)
     np.testing.assert_array_equal(log.positions["t_gps_s"], expected)
@@ -249,41 +241,39 @@ def test_midnight(tmp_path: Path, given: dt.date | None) -> None:
 
 
 def test_late_sentence_of_the_old_day(tmp_path: Path) -> None:
-    text = (
-        sentence(GGA.format("235959")) + sentence(GGA.format("000000.2")) + sentence(GGA.format("235959.9"))
-    )
-    log = log_of(tmp_path, text + sentence(GGA.format("000001")), dt.date(2018, 8, 20))
+    text = nmea(GGA.format("235959")) + nmea(GGA.format("000000.2")) + nmea(GGA.format("235959.9"))
+    log = log_of(tmp_path, text + nmea(GGA.format("000001")), dt.date(2018, 8, 20))
     seconds = log.positions["t_gps_s"] - gps(2018, 8, 20, 23, 59, 59)
     np.testing.assert_allclose(seconds, [0.0, 1.2, 0.9, 2.0], atol=1e-6)  # float64 at 1e8 s: 3e-8
 
 
 def test_first_sentence_after_days_switched_off_gets_the_new_date(tmp_path: Path) -> None:
-    text = sentence(RMC.format("094736", "200818")) + sentence(GGA.format("101010"))
-    text += sentence(RMC.format("101010", "230818"))
+    text = nmea(RMC.format("094736", "200818")) + nmea(GGA.format("101010"))
+    text += nmea(RMC.format("101010", "230818"))
     log = log_of(tmp_path, text)
     assert log.positions["t_gps_s"].to_list() == [gps(2018, 8, 20, 9, 47, 36), gps(2018, 8, 23, 10, 10, 10)]
 
 
 def test_leap_second(tmp_path: Path) -> None:
-    text = sentence(RMC.format("235959", "311216")) + sentence(RMC.format("235960", "311216"))
-    log = log_of(tmp_path, text + sentence(RMC.format("000000", "010117")))
+    text = nmea(RMC.format("235959", "311216")) + nmea(RMC.format("235960", "311216"))
+    log = log_of(tmp_path, text + nmea(RMC.format("000000", "010117")))
     assert log.positions["t_gps_s"].to_list() == [float(gps_from_week(1930, 16.0 + i)) for i in range(3)]
 
 
 def test_own_date_beats_the_given_one(tmp_path: Path) -> None:
-    log = log_of(tmp_path, sentence(RMC.format("094736", "200818")), dt.date(2020, 1, 1))
+    log = log_of(tmp_path, nmea(RMC.format("094736", "200818")), dt.date(2020, 1, 1))
     assert log.positions["t_gps_s"][0] == gps(2018, 8, 20, 9, 47, 36)
     assert any("2020-01-01 is not used" in note for note in log.report.notes)
 
 
 def test_steps_back_are_counted(tmp_path: Path) -> None:
-    text = "".join(sentence(GGA.format(t)) for t in ("194124", "194111", "194112"))
+    text = "".join(nmea(GGA.format(t)) for t in ("194124", "194111", "194112"))
     assert log_of(tmp_path, text).report.losses == {"time_steps_back": 1}
 
 
 @pytest.mark.parametrize("ending", ["\r\n", "\n", "\r", "\n\r"])
 def test_line_endings(tmp_path: Path, ending: str) -> None:
-    text = (sentence(GGA.format("094736")) + sentence("SDDPT,5.3,0.4")).replace("\r\n", ending)
+    text = (nmea(GGA.format("094736")) + nmea("SDDPT,5.3,0.4")).replace("\r\n", ending)
     log = log_of(tmp_path, text)
     assert len(log.positions) == 1
     assert log.report.clean
@@ -301,7 +291,7 @@ def test_line_endings(tmp_path: Path, ending: str) -> None:
     ],
 )
 def test_prefixes_of_loggers(tmp_path: Path, prefix: str, t_host_s: float) -> None:
-    text = f"{prefix}{sentence('SDDPT,5.3,0.4')}" * 2
+    text = f"{prefix}{nmea('SDDPT,5.3,0.4')}" * 2
     log = log_of(tmp_path, text)
     np.testing.assert_array_equal(log.depths["t_host_s"], [t_host_s, t_host_s])
     assert log.report.counts["prefixed_sentences"] == 2
@@ -309,12 +299,12 @@ def test_prefixes_of_loggers(tmp_path: Path, prefix: str, t_host_s: float) -> No
 
 
 def test_rubbish_is_survived_and_counted(tmp_path: Path) -> None:
-    good = sentence("SDDPT,5.3,0.4").encode()
+    good = nmea("SDDPT,5.3,0.4").encode()
     cut = good[:9]  # runs into the next sentence
     wrong = good.replace(b"5.3", b"6.3")
     rubbish = bytes(range(128, 256)) + b"\r\n"
     absent = b"$SDDPT,7.7,0.4\r\n"
-    malformed = sentence("SDDPT,x,0.4").encode() + sentence(GGA.format("256136")).encode()
+    malformed = nmea("SDDPT,x,0.4").encode() + nmea(GGA.format("256136")).encode()
     log = log_of(tmp_path, good + cut + good + wrong + rubbish + absent + malformed + good)
     np.testing.assert_array_equal(log.depths["depth_m"], [5.3, 5.3, 5.3])
     assert log.report.losses == {
@@ -335,7 +325,7 @@ def test_log_without_any_checksum_is_read(tmp_path: Path) -> None:
 def test_chunks_do_not_cut_sentences(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("thalweg.ingest.nmea.reader._CHUNK", 1 << 14)
     n = 8000  # 176 kB: eleven chunks
-    text = "".join(sentence(f"SDDPT,{i % 97}.25,0.4") for i in range(n))
+    text = "".join(nmea(f"SDDPT,{i % 97}.25,0.4") for i in range(n))
     log = log_of(tmp_path, text)
     assert log.report.clean
     np.testing.assert_array_equal(log.depths["depth_m"], np.arange(n) % 97 + 0.25)
@@ -344,10 +334,8 @@ def test_chunks_do_not_cut_sentences(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 def overlapping_logs(tmp_path: Path, seconds: list[str], date: str, cuts: tuple[int, int]) -> list[Path]:
     """A log cut in two that share a stretch, and the log in one piece; two equal depths a second."""
-    depth = sentence("SDDPT,5.3,0.4")
-    epochs = [
-        sentence(GGA.format(t)) + (sentence(RMC.format(t, date)) if date else "") + 2 * depth for t in seconds
-    ]
+    depth = nmea("SDDPT,5.3,0.4")
+    epochs = [nmea(GGA.format(t)) + (nmea(RMC.format(t, date)) if date else "") + 2 * depth for t in seconds]
     parts = (epochs[: cuts[1]], epochs[cuts[0] :], epochs)
     paths = [tmp_path / f"{name}.log" for name in ("a", "b", "whole")]
     for path, part in zip(paths, parts, strict=True):
@@ -395,8 +383,8 @@ def test_undated_files_of_two_days_are_no_overlap(tmp_path: Path) -> None:
 
 def test_depths_ahead_of_the_first_time_of_a_file_take_none_from_the_file_before(tmp_path: Path) -> None:
     a, b = tmp_path / "a.log", tmp_path / "b.log"
-    a.write_text(sentence(RMC.format("094700", "200818")) + sentence("SDDPT,5.1,0.4"))
-    b.write_text(sentence("SDDPT,5.2,0.4") + sentence(RMC.format("120000", "200818")))
+    a.write_text(nmea(RMC.format("094700", "200818")) + nmea("SDDPT,5.1,0.4"))
+    b.write_text(nmea("SDDPT,5.2,0.4") + nmea(RMC.format("120000", "200818")))
     depths = read_nmea([a, b]).depths
     assert depths["t_gps_s"].isna().tolist() == [False, True]
     assert depths["depth_m"].tolist() == [5.1, 5.2]
@@ -424,19 +412,10 @@ def test_missing_file() -> None:
 
 def test_fuzz_nmea(tmp_path: Path, fuzz: Any) -> None:
     text = "".join(
-        sentence(RMC.format(f"0947{i:02d}", "200818"))
-        + sentence(GGA.format(f"0947{i:02d}"))
-        + sentence("SDDPT,5.3,0")
+        nmea(RMC.format(f"0947{i:02d}", "200818")) + nmea(GGA.format(f"0947{i:02d}")) + nmea("SDDPT,5.3,0")
         for i in range(8)
     )
-    path = tmp_path / "fuzz.log"
-    for data in fuzz.inputs(text.encode()):
-        path.write_bytes(data)
-        try:
-            log = read_nmea([path])
-        except ThalwegError:
-            continue
-        fuzz.was_read(reported=not log.report.clean)
+    for data, log in read_or_refused(fuzz, tmp_path / "fuzz.log", read_nmea, text.encode()):
         assert len(log.positions) <= data.count(b"$")
         assert len(log.depths) <= data.count(b"DPT")
     fuzz.check(read=0.5, troubled=0.5)
@@ -447,7 +426,7 @@ def test_a_jump_of_the_date_is_told(tmp_path: Path) -> None:
 
     def rmc(clock: str, date: str) -> str:
         body = f"GPRMC,{clock},A,5103.0000,N,01315.0000,E,0.5,90.0,{date},,,A"
-        return f"${body}*{reduce(xor, body.encode()):02X}\r\n"
+        return nmea(body)
 
     path = tmp_path / "jump.nmea"
     path.write_text(rmc("083107", "260901") + rmc("083108", "260901") + rmc("083109", "120521"))
@@ -464,7 +443,7 @@ def test_a_track_alone_and_a_damaged_file_beside_it_make_a_campaign(
     (tmp_path / "logs").mkdir()
     body = "GPGGA,1003{:02d}.00,5100.{:04d},N,01300.0000,E,4,21,0.6,100.0,M,46.5,M,1.0,0001"
     lines = [body.format(k, k) for k in range(9)] + ["GPZDA,100310.00,12,06,2024,00,00"]
-    text = "".join(f"${each}*{reduce(xor, each.encode()):02X}\r\n" for each in lines)
+    text = "".join(map(nmea, lines))
     (tmp_path / "logs/track.txt").write_text(text, newline="")
     (tmp_path / "logs/day.bag").write_bytes(b"#ROSBAG V2.0\nE\x00\x00\x00 damaged")
     folder = tmp_path / "campaigns"

@@ -8,19 +8,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.ingest.writers import nmea
 from thalweg.core import InputError, gps_from_unix
+from thalweg.ingest import PositionLog
 from thalweg.ingest.nmea import read_nmea
-from thalweg.ingest.nmea.reader import NmeaLog
 from thalweg.ingest.registry import read_depths
 
 START = 36_000
 """10:00:00, second of the day."""
 DAY = dt.datetime(2024, 6, 12, tzinfo=dt.UTC).timestamp()
 DEPTH = "SDDPT,3.10,0.0"
-
-
-def sentence(body: str) -> str:
-    return f"${body}*{reduce(xor, body.encode()):02X}\r\n"
 
 
 def clock(second: float) -> str:
@@ -34,35 +31,35 @@ def place(second: float, north_m: float = 0.0) -> str:
 
 def gga(second: float, talker: str = "GP", quality: int = 4, north_m: float = 0.0) -> str:
     rest = f"{quality},12,0.8,110.000,M,45.000,M,1.0,0001"
-    return sentence(f"{talker}GGA,{clock(second)},{place(second, north_m)},{rest}")
+    return nmea(f"{talker}GGA,{clock(second)},{place(second, north_m)},{rest}")
 
 
 def rmc(second: float, date: str = "120624", talker: str = "GP", north_m: float = 0.0) -> str:
-    return sentence(f"{talker}RMC,{clock(second)},A,{place(second, north_m)},2.0,90.0,{date},,,R")
+    return nmea(f"{talker}RMC,{clock(second)},A,{place(second, north_m)},2.0,90.0,{date},,,R")
 
 
 def void(second: float, date: str) -> str:
-    return sentence(f"GPRMC,{clock(second)},V,,,,,,,{date},,,N")
+    return nmea(f"GPRMC,{clock(second)},V,,,,,,,{date},,,N")
 
 
-def read(folder: Path, text: str, date: dt.date | None = None) -> NmeaLog:
+def read(folder: Path, text: str, date: dt.date | None = None) -> PositionLog:
     path = folder / "boat.nmea"
     path.write_text(text)
     return read_nmea([path], date)
 
 
-def noted(log: NmeaLog, *words: str) -> bool:
+def noted(log: PositionLog, *words: str) -> bool:
     return any(all(word in note for word in words) for note in log.report.notes)
 
 
-def since_start(log: NmeaLog) -> np.ndarray:  # type: ignore[type-arg]
+def since_start(log: PositionLog) -> np.ndarray:  # type: ignore[type-arg]
     return (log.depths["t_gps_s"] - float(gps_from_unix(DAY + START))).to_numpy()
 
 
 def test_a_receiver_without_a_fix_gives_no_date_and_no_time(tmp_path: Path) -> None:
-    cold = "".join(void(i, "060180") + sentence(DEPTH) for i in range(12, 22))
-    run = "".join(gga(START + i) + rmc(START + i) + sentence(DEPTH) for i in range(20))
-    again = "".join(gga(START + i) + rmc(START + i) + sentence(DEPTH) for i in range(300, 320))
+    cold = "".join(void(i, "060180") + nmea(DEPTH) for i in range(12, 22))
+    run = "".join(gga(START + i) + rmc(START + i) + nmea(DEPTH) for i in range(20))
+    again = "".join(gga(START + i) + rmc(START + i) + nmea(DEPTH) for i in range(300, 320))
     log = read(tmp_path, cold + run + cold + again)
     late = np.r_[np.full(10, np.nan), np.arange(20), np.full(10, np.nan), np.arange(300, 320)]
     np.testing.assert_allclose(since_start(log), late, atol=1e-6)
@@ -72,8 +69,8 @@ def test_a_receiver_without_a_fix_gives_no_date_and_no_time(tmp_path: Path) -> N
 
 @pytest.mark.parametrize(("hole_s", "untimed"), [(0, 0), (3600, 10)])
 def test_a_date_holds_back_to_the_last_hole(tmp_path: Path, hole_s: int, untimed: int) -> None:
-    undated = "".join(gga(START - hole_s + i) + sentence(DEPTH) for i in range(10))
-    dated = "".join(gga(START + i) + rmc(START + i) + sentence(DEPTH) for i in range(10, 20))
+    undated = "".join(gga(START - hole_s + i) + nmea(DEPTH) for i in range(10))
+    dated = "".join(gga(START + i) + rmc(START + i) + nmea(DEPTH) for i in range(10, 20))
     log = read(tmp_path, undated + dated)
     assert log.depths["t_gps_s"].isna().sum() == log.positions["t_gps_s"].isna().sum() == untimed
     assert log.report.losses.get("positions_without_time", 0) == untimed
@@ -81,7 +78,7 @@ def test_a_date_holds_back_to_the_last_hole(tmp_path: Path, hole_s: int, untimed
 
 def test_a_week_counter_that_rolled_over_is_named_and_put_right_if_stated(tmp_path: Path) -> None:
     text = "".join(
-        f"{DAY + START + i + 0.2:.2f} {rmc(START + i, '271004')}{DAY + START + i + 0.3:.2f} {sentence(DEPTH)}"
+        f"{DAY + START + i + 0.2:.2f} {rmc(START + i, '271004')}{DAY + START + i + 0.3:.2f} {nmea(DEPTH)}"
         for i in range(20)
     )
     log = read(tmp_path, text)
@@ -103,7 +100,7 @@ def test_dates_of_the_last_century_are_doubted(tmp_path: Path) -> None:
 )
 def test_gns_gives_height_and_the_best_fix(tmp_path: Path, mode: str, fix: str) -> None:
     body = f"GNGNS,{clock(START)},{place(START)},{mode},12,0.8,110.000,45.000,1.0,0001"
-    row = read(tmp_path, rmc(START) + sentence(body)).positions.iloc[0]
+    row = read(tmp_path, rmc(START) + nmea(body)).positions.iloc[0]
     assert (row["h_ell_m"], row["fix"], row["n_sats"], row["age_s"]) == (155.0, fix, 12, 1.0)
 
 
@@ -111,9 +108,9 @@ def test_the_better_of_two_receivers_is_taken(tmp_path: Path) -> None:
     gst = ",0.02,0.02,0.02,0.0,0.02,0.02,0.04"
     text = "".join(
         gga(START + i)
-        + sentence(f"GPGST,{clock(START + i)}{gst}")
+        + nmea(f"GPGST,{clock(START + i)}{gst}")
         + gga(START + i + 0.5, "AI", 1, 4.0)
-        + sentence(f"AIGST,{clock(START + i + 0.5)}{gst.replace('0.02', '3.0')}")
+        + nmea(f"AIGST,{clock(START + i + 0.5)}{gst.replace('0.02', '3.0')}")
         for i in range(20)
     )
     log = read(tmp_path, text + rmc(START + 20))
@@ -142,17 +139,17 @@ def test_talkers_of_one_receiver_are_one(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("off_s", "words"), [(7200, "a time zone"), (18, "leap seconds"), (0, "")])
 def test_a_clock_that_differs_gives_no_times(tmp_path: Path, off_s: int, words: str) -> None:
     text = "".join(
-        gga(START + i) + rmc(START + i) + sentence(f"IIZDA,{clock(START + i + off_s)},12,06,2024,00,00")
+        gga(START + i) + rmc(START + i) + nmea(f"IIZDA,{clock(START + i + off_s)},12,06,2024,00,00")
         for i in range(9)
     )
-    log = read(tmp_path, text + sentence(DEPTH))
+    log = read(tmp_path, text + nmea(DEPTH))
     assert since_start(log)[-1] == pytest.approx(8.0, abs=1e-6)
     assert noted(log, "clock of II", words) == bool(words)
 
 
 def test_a_ping_that_two_talkers_state_is_one_sounding(tmp_path: Path) -> None:
     text = "".join(
-        rmc(START + i) + "".join(sentence(f"{t}DPT,{3 + i / 100:.2f},0.0") for t in ("II", "SD"))
+        rmc(START + i) + "".join(nmea(f"{t}DPT,{3 + i / 100:.2f},0.0") for t in ("II", "SD"))
         for i in range(20)
     )
     log = read(tmp_path, text)
@@ -165,7 +162,7 @@ def test_a_ping_that_two_talkers_state_is_one_sounding(tmp_path: Path) -> None:
 def test_fast_pings_are_spread_between_the_times(tmp_path: Path, silent: range) -> None:
     """Ten a second; also where the receiver is silent for 20 s, and behind its last sentence."""
     text = "".join(
-        ("" if i in silent or i > 38 else gga(START + i) + rmc(START + i)) + 10 * sentence(DEPTH)
+        ("" if i in silent or i > 38 else gga(START + i) + rmc(START + i)) + 10 * nmea(DEPTH)
         for i in range(40)
     )
     log = read(tmp_path, text)
@@ -174,7 +171,7 @@ def test_fast_pings_are_spread_between_the_times(tmp_path: Path, silent: range) 
 
 
 def test_pings_behind_the_last_time_do_not_share_it(tmp_path: Path) -> None:
-    text = "".join(rmc(START + i) + sentence(DEPTH) for i in range(20)) + 5 * sentence(DEPTH)
+    text = "".join(rmc(START + i) + nmea(DEPTH) for i in range(20)) + 5 * nmea(DEPTH)
     np.testing.assert_allclose(since_start(read(tmp_path, text)), np.arange(25), atol=1e-6)
 
 
@@ -183,7 +180,7 @@ def test_stamps_of_the_logger_time_the_pings(tmp_path: Path) -> None:
     stamp = DAY + START + 3600
     text = "".join(
         f"{stamp + i:.2f} {rmc(START + i)}"
-        + "".join(f"{stamp + i + s:.2f} {sentence(DEPTH)}" for s in (0.03, 0.13, 0.63))
+        + "".join(f"{stamp + i + s:.2f} {nmea(DEPTH)}" for s in (0.03, 0.13, 0.63))
         for i in range(20)
     )
     log = read(tmp_path, text)
@@ -208,7 +205,7 @@ def test_stamps_of_the_logger_time_the_pings(tmp_path: Path) -> None:
     ],
 )
 def test_units_and_numbers_of_depths(tmp_path: Path, body: str, depth_m: float | None) -> None:
-    log = read(tmp_path, rmc(START) + sentence(body))
+    log = read(tmp_path, rmc(START) + nmea(body))
     assert log.depths["depth_m"].tolist() == ([] if depth_m is None else [pytest.approx(depth_m)])
     assert log.report.losses.get("malformed_sentences", 0) == (depth_m is None)
     assert noted(log, "feet (0.3048 m) only") == (",,M" in body)
@@ -216,13 +213,13 @@ def test_units_and_numbers_of_depths(tmp_path: Path, body: str, depth_m: float |
 
 def test_heights_in_feet_are_converted(tmp_path: Path) -> None:
     text = gga(START).strip().replace("110.000,M,45.000,M", "100.0,f,45.000,M")
-    log = read(tmp_path, sentence(text[1:-3]))
+    log = read(tmp_path, nmea(text[1:-3]))
     assert log.positions["h_ell_m"][0] == pytest.approx(30.48 + 45.0)
 
 
 def test_what_is_not_read_is_named(tmp_path: Path) -> None:
     bodies = ("SDHDG,229.8,,,1.3,E", "PTNL,GGK,1", "PSDDB,1", "GPDTM,W72,,0.0,N,0.0,E,0.0,W84", "GPGSA,A")
-    log = read(tmp_path, rmc(START) + "".join(map(sentence, bodies)))
+    log = read(tmp_path, rmc(START) + "".join(map(nmea, bodies)))
     assert noted(log, "Not read", "HDG 1 (magnetic heading)", "PTNL 1", "PSDDB 1")
     assert not noted(log, "GSA")
     assert noted(log, "datum W72")
@@ -234,10 +231,10 @@ def test_what_is_not_read_is_named(tmp_path: Path) -> None:
 )
 def test_a_log_without_a_depth_above_zero_promises_none(tmp_path: Path, body: str, word: str) -> None:
     path = tmp_path / "log.nmea"
-    path.write_text(rmc(START) + sentence(body))
+    path.write_text(rmc(START) + nmea(body))
     with pytest.raises(InputError, match=word):
         read_depths([path])
-    path.write_text(rmc(START) + sentence(DEPTH))
+    path.write_text(rmc(START) + nmea(DEPTH))
     assert len(read_depths([path]).depths) == 1
 
 
@@ -251,7 +248,7 @@ def test_a_log_without_a_depth_above_zero_promises_none(tmp_path: Path, body: st
     ],
 )
 def test_zones_of_the_logger(tmp_path: Path, prefix: str, hour: int) -> None:
-    log = read(tmp_path, prefix + sentence(DEPTH))
+    log = read(tmp_path, prefix + nmea(DEPTH))
     assert log.depths["t_host_s"][0] == pytest.approx(DAY + hour * 3600 + 0.3, abs=1e-3)
     assert noted(log, "no zone") == (hour == 12)
 
@@ -307,6 +304,6 @@ def test_traits_of_reports(data_dir: Path, trait: str, words: str) -> None:
 )
 def test_depths_that_are_not_read_are_the_cause(body: str, words: str, tmp_path: Path) -> None:
     path = tmp_path / "log.nmea"
-    path.write_text("".join(rmc(START + k) + sentence(body) for k in range(2)))
+    path.write_text("".join(rmc(START + k) + nmea(body) for k in range(2)))
     with pytest.raises(InputError, match=words):
         read_depths([path])

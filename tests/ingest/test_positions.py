@@ -140,7 +140,6 @@ def test_depths_zones_and_waypoints_of_gpx(tmp_path: Path) -> None:
     path.write_text(f'<gpx><wpt lat="1" lon="2"/><trk><trkseg>{"".join(rows)}</trkseg></trk></gpx>')
     log = read_depths([path])
     t0 = float(gps_from_unix(1_718_186_400))
-    assert log.depths is not None
     assert log.depths["t_gps_s"].tolist() == [t0, t0 + 1]
     assert log.depths["depth_m"].tolist() == pytest.approx([2.5, 3.048])
     write_table(tmp_path / "depths.parquet", log.depths, DEPTH)

@@ -1,6 +1,5 @@
 """PPK inputs, the process border of the engine, and its .pos text: bad input and crashes, no recordings."""
 
-import binascii
 import json
 import struct
 from pathlib import Path
@@ -9,18 +8,16 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from tests.ingest.test_rinex import line
+from tests.ingest.writers import sbp
 from thalweg.core import ConfigError, InputError
-from thalweg.ingest import GNSS_POSITION, IntegrityReport
+from thalweg.ingest import GNSS_POSITION
 from thalweg.ingest.ppk import PpkOptions, replace_covariances, run_ppk
 from thalweg.ingest.ppk.solution import PpkSolution, check_settings, run_worker, write_settings
 from thalweg.ingest.ppk.trust import SIGMA_FLOOR_M, covariance_enu, read_solution
 
 BASE = (-2706105.2018, -4261210.8062, 3885598.6411)
 OPTIONS = PpkOptions(base_ecef_m=BASE, systems=("GPS", "GAL"))
-
-
-def line(text: str, label: str) -> str:
-    return f"{text:60s}{label}\n"
 
 
 def observations(
@@ -49,13 +46,8 @@ def ephemerides(day: int = 12, systems: str = "GE") -> bytes:
     return text.encode()
 
 
-def sbp_frame(kind: int, sender: int, payload: bytes) -> bytes:
-    body = struct.pack("<HHB", kind, sender, len(payload)) + payload
-    return b"\x55" + body + struct.pack("<H", binascii.crc_hqx(body, 0))
-
-
-HEARTBEATS = sbp_frame(0xFFFF, 12027, bytes(4)) * 5
-ROVER_ONLY = HEARTBEATS + sbp_frame(0x004A, 12027, struct.pack("<IiHB", 499514000, 0, 1948, 0x10)) * 3
+HEARTBEATS = sbp(0xFFFF, bytes(4)) * 5
+ROVER_ONLY = HEARTBEATS + sbp(0x004A, struct.pack("<IiHB", 499514000, 0, 1948, 0x10)) * 3
 
 GOOD = {"rover": observations(), "base": observations(n=9), "nav": ephemerides()}
 BAD_INPUT: list[tuple[str, dict[str, bytes | None], dict[str, object], str]] = [
@@ -92,7 +84,7 @@ BAD_INPUT: list[tuple[str, dict[str, bytes | None], dict[str, object], str]] = [
         "base from SBP without SBP",
         {},
         {"base_ecef_m": None, "base_source": "from_sbp"},
-        "no valid MsgBasePosECEF among 0",
+        "no valid position of the base",
     ),
     ("SBP without observations", {"rover": HEARTBEATS, "base": None}, {}, "no rover observations (MsgObs)"),
     (
@@ -283,22 +275,6 @@ def test_good_and_unknown_covariances_stay() -> None:
     fixed, n = replace_covariances(table)
     assert n == 0
     pd.testing.assert_frame_equal(fixed, table)
-
-
-def solution(n_fixed: int, n_float: int, n_none: int) -> PpkSolution:
-    n = n_fixed + n_float + n_none
-    report = IntegrityReport(stream="PPK positions", format="SBP", files=["rover.sbp"])
-    report.details = {
-        "fix_ratio": n_fixed / n,
-        "n_rover_epochs": n,
-        "n_fixed": n_fixed,
-        "n_float": n_float,
-        "n_single": 0,
-        "n_other": 0,
-        "n_none": n_none,
-    }
-    table = pd.DataFrame({"fix": ["fixed"] * n_fixed + ["float"] * n_float})
-    return PpkSolution(positions=table, report=report, options=OPTIONS, base_ecef_m=np.array(BASE))
 
 
 def test_worker_answers_in_json(tmp_path: Path) -> None:

@@ -10,11 +10,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from tests.ingest.writers import files_of, sbp
 from thalweg.core import InputError, ecef_of, read_table, rotation_ecef_enu
 from thalweg.ingest import GNSS_POSITION, IntegrityReport
 from thalweg.ingest.ppk import PpkOptions
 from thalweg.ingest.ppk.exports import write_solution, write_track
 from thalweg.ingest.ppk.solution import EngineAnswer, PpkSolution, _base_position, _check_base, _report
+from thalweg.ingest.sbp import collect
 
 PLACE = (51.0, 13.75, 150.0)
 BASE = ecef_of(*PLACE)
@@ -26,7 +28,7 @@ def inputs(**more: Any) -> Any:
     scan = SimpleNamespace(
         antenna_delta_hen_m=(1.5, 0.25, 0.5), approx_ecef_m=BASE, version="3.04", text=lambda *_: "Piksi"
     )
-    known = {"base": [scan], "rover": [scan], "nav": [], "rover_sbp": None, "base_sbp": None, "losses": {}}
+    known = {"base": [scan], "rover": [scan], "nav": [], "sbp": {}, "losses": {}}
     times = {"rover_t_gps_s": np.arange(20.0), "base_t_gps_s": np.arange(7.0), "bytes_read": 99}
     return SimpleNamespace(**(known | times | more))
 
@@ -96,15 +98,19 @@ def replace_scan(**changes: Any) -> Any:
     return SimpleNamespace(**(vars(inputs().base[0]) | changes))
 
 
-def test_the_base_of_sbp_logs_is_the_median_of_what_they_state() -> None:
+def test_the_base_of_sbp_logs_is_the_median_of_what_they_state(tmp_path: Path) -> None:
     options = PpkOptions(base_source="from_sbp")
     scan = replace_scan(antenna_delta_hen_m=(0.0, 0.0, 0.0))
     rows = BASE + np.outer([0.0, 0.0, 0.004, 0.0, 0.0], EAST)
     rows[4] = 0.0  # not yet set
 
     def found(*logs: np.ndarray) -> tuple[np.ndarray, list[str]]:
-        rover, base = (SimpleNamespace(base_ecef_m=log) for log in logs)
-        return _base_position(inputs(base=[scan], rover_sbp=rover, base_sbp=base), options, Path("base.sbp"))
+        rover, base = (
+            collect(files_of(tmp_path, b"".join(sbp(0x0048, row.tobytes(), 0) for row in log)))
+            for log in logs
+        )
+        sbp_logs = {"rover": rover, "base": base}
+        return _base_position(inputs(base=[scan], sbp=sbp_logs), options, Path("base.sbp"))
 
     place, notes = found(rows[:2], rows[2:])
     np.testing.assert_allclose(place, BASE, atol=1e-6)
@@ -114,7 +120,7 @@ def test_the_base_of_sbp_logs_is_the_median_of_what_they_state() -> None:
     assert notes == [
         "The base positions stated in the SBP log differ by up to 0.500 m; their median is used."
     ]
-    with pytest.raises(InputError, match="no valid MsgBasePosECEF among 2 in the SBP logs"):
+    with pytest.raises(InputError, match="no valid position of the base"):
         found(np.zeros((1, 3)), np.zeros((1, 3)))
 
 

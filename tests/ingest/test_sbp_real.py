@@ -11,9 +11,8 @@ from sbp.client import Framer
 from sbp.client.drivers.file_driver import FileDriver
 
 from thalweg.core import gps_from_week
-from thalweg.ingest.sbp import find_messages, messages as sm, read_sbp
-from thalweg.ingest.sbp.messages import SbpRecords, collect
-from thalweg.ingest.sbp.reader import SbpLog
+from thalweg.ingest import PositionLog
+from thalweg.ingest.sbp import SbpRecords, base_positions, collect, find_messages, messages as sm, read_sbp
 
 pytestmark = pytest.mark.real
 
@@ -24,6 +23,12 @@ ROUNDTRIP = "sbp_libsbp_samples/roundtrip.sbp"
 SHORT = "sbp_libsbp_samples/short.sbp"
 
 
+def counts_of(log: PositionLog) -> dict[str, int]:
+    """Messages by type and sender."""
+    found: dict[str, int] = log.report.details["messages by type and sender"]
+    return found
+
+
 def library(path: Path) -> list[Any]:
     with path.open("rb") as stream, warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the library stamps each message with a deprecated utcnow()
@@ -31,7 +36,7 @@ def library(path: Path) -> list[Any]:
 
 
 @pytest.fixture(scope="module")
-def rtk(data_dir: Path) -> SbpLog:
+def rtk(data_dir: Path) -> PositionLog:
     return read_sbp([data_dir / RTK])
 
 
@@ -109,13 +114,11 @@ def test_the_library_loses_sound_messages_behind_damage(data_dir: Path) -> None:
         i = mine.index((m.msg_type, m.sender, m.length), i) + 1
 
 
-def test_rtk_figures_of_the_provenance(rtk: SbpLog) -> None:
+def test_rtk_figures_of_the_provenance(rtk: PositionLog) -> None:
     report, t = rtk.report, rtk.positions["t_gps_s"].to_numpy()
-    assert sum(rtk.message_counts.values()) == 59065
-    assert len(rtk.message_counts) == 32
-    assert rtk.message_counts[sm.OBS, 12027] == 1193
-    assert rtk.message_counts[sm.OBS, 0] == 1317
-    assert rtk.message_counts[sm.POS_LLH, 12027] == 4392
+    found = counts_of(rtk)
+    assert (sum(found.values()), len(found)) == (59065, 32)
+    assert (found["MsgObs 12027"], found["MsgObs 0"], found["MsgPosLLH 12027"]) == (1193, 1317, 4392)
     assert report.counts["ephemerides"] == 87
     assert report.counts["positions_without_fix_dropped"] == 396
     assert rtk.positions["fix"].value_counts().to_dict() == {"fixed": 3689, "float": 288, "single": 19}
@@ -133,10 +136,11 @@ def test_rtk_figures_of_the_provenance(rtk: SbpLog) -> None:
     assert report.losses == {"bytes_outside_messages": 102, "messages_cut_at_end": 1}
 
 
-def test_rtk_solution_of_the_provenance(rtk: SbpLog) -> None:
-    assert rtk.base_ecef_m is not None
+def test_rtk_solution_of_the_provenance(rtk: PositionLog, data_dir: Path) -> None:
+    base = base_positions(collect([data_dir / RTK]))
+    assert base.shape == (440, 3)
     # the PROVENANCE prints four decimals of a metre, nine of a degree
-    np.testing.assert_allclose(rtk.base_ecef_m, [-2706105.2018, -4261210.8062, 3885598.6411], atol=5.1e-5)
+    np.testing.assert_allclose(base, [[-2706105.2018, -4261210.8062, 3885598.6411]] * 440, atol=5.1e-5)
     mean = rtk.positions[rtk.positions["fix"] == "fixed"][["lat_deg", "lon_deg", "h_ell_m"]].mean()
     np.testing.assert_allclose(mean[:2], [37.773452126, -122.417872451], atol=5.1e-10)
     assert mean["h_ell_m"] == pytest.approx(-6.3070, abs=5.1e-5)
@@ -147,7 +151,7 @@ def test_rtk_solution_of_the_provenance(rtk: SbpLog) -> None:
     assert row["n_sats"] == 9
 
 
-def test_every_position_equals_the_library(rtk: SbpLog, rtk_library: list[Any]) -> None:
+def test_every_position_equals_the_library(rtk: PositionLog, rtk_library: list[Any]) -> None:
     want = [m for m in rtk_library if m.msg_type == sm.POS_LLH and m.flags & 7]
     assert len(want) > 1000
     found = rtk.positions.iloc[: len(want)]
@@ -160,31 +164,31 @@ def test_every_position_equals_the_library(rtk: SbpLog, rtk_library: list[Any]) 
 
 def test_coldstart_figures_of_the_provenance(data_dir: Path) -> None:
     log = read_sbp([data_dir / COLD])
-    assert sum(log.message_counts.values()) == 61599
-    assert {k: n for k, n in log.message_counts.items() if k[0] == sm.OBS} == {(sm.OBS, 12027): 1253}
+    assert sum(counts_of(log).values()) == 61599
+    assert {k: n for k, n in counts_of(log).items() if k.startswith("MsgObs ")} == {"MsgObs 12027": 1253}
     assert log.positions["fix"].value_counts().to_dict() == {"single": 4276}
     assert log.report.counts["positions_without_fix_dropped"] == 410
     assert log.positions["t_gps_s"].iloc[0] == pytest.approx(float(gps_from_week(1949, 3799.4)), abs=1e-6)
     assert log.positions["t_gps_s"].iloc[-1] == pytest.approx(float(gps_from_week(1949, 4226.9)), abs=1e-6)
     assert log.report.counts["observation_epochs_12027"] == 428
-    assert log.base_ecef_m is None
+    assert "base_positions" not in log.report.counts
 
 
 def test_sample_figures_of_the_provenance(data_dir: Path) -> None:
     filtered = read_sbp([data_dir / FILTER])
-    assert sum(filtered.message_counts.values()) == 7056
+    assert sum(counts_of(filtered).values()) == 7056
     assert (filtered.report.counts["imu_raw"], filtered.report.counts["mag_raw"]) == (1622, 203)
     assert filtered.report.t_first_s == pytest.approx(float(gps_from_week(2259, 178220.4)), abs=1e-6)
     assert filtered.report.t_last_s == pytest.approx(float(gps_from_week(2259, 178236.3)), abs=1e-6)
     assert filtered.report.details["GPS - UTC"] == {"18.000 s": 160}
     assert filtered.report.clean
     roundtrip = read_sbp([data_dir / ROUNDTRIP])
-    assert sum(roundtrip.message_counts.values()) == 5000
+    assert sum(counts_of(roundtrip).values()) == 5000
     assert len(roundtrip.positions) == 466
     assert roundtrip.report.t_first_s == pytest.approx(float(gps_from_week(2098, 271497.8)), abs=1e-6)
     assert roundtrip.report.t_last_s == pytest.approx(float(gps_from_week(2098, 271544.3)), abs=1e-6)
     short = read_sbp([data_dir / SHORT])
-    assert short.message_counts[sm.POS_LLH, 45490] == 188
+    assert counts_of(short)["MsgPosLLH 45490"] == 188
     assert short.report.counts["positions_without_fix_dropped"] == 187
     assert short.positions["t_gps_s"].tolist() == [
         pytest.approx(float(gps_from_week(2038, 155149.5)), abs=5e-4)

@@ -34,11 +34,6 @@ def close(found, expected, atol):
     np.testing.assert_allclose(found, expected, rtol=0, atol=atol)
 
 
-def write(path, frames):
-    path.write_bytes(log.pcap(frames))
-    return path
-
-
 def slow_decoder(packets, corrected=True):
     """One row a point: t_us, x, y, z, range, azimuth in rad, laser, intensity, return, returns, packet."""
     rows = []
@@ -113,7 +108,7 @@ def test_tables_of_the_manual():
 def test_equals_slow_decoder(tmp_path, mode, corrected):
     stamps = log.times(70, mode=mode)
     data = log.data_packets(stamps, mode=mode, az0=35_800)  # crosses the wrap at once
-    path = write(tmp_path / "a.pcap", [log.ethernet(log.udp(row, 2368)) for row in data])
+    path = log.save_data(tmp_path / "a.pcap", data)
     p = points(path, LidarOptions(vertical_corrections=corrected))
     assert_equal_to_slow(p, slow_decoder([row.tobytes() for row in data], corrected))
     assert (np.diff(p["t_device_s"]) >= 0).all()
@@ -124,7 +119,7 @@ def test_azimuth_of_36000_is_zero(tmp_path):
     data = log.data_packets(log.times(2))
     az = data.view(log.PAYLOAD)["b"]["az"]
     az[0, 0, :5] = [35_920, 35_960, 36_000, 40, 80]
-    path = write(tmp_path / "a.pcap", [log.ethernet(log.udp(row, 2368)) for row in data])
+    path = log.save_data(tmp_path / "a.pcap", data)
     p = points(path)
     assert_equal_to_slow(p, slow_decoder([row.tobytes() for row in data]))
     block = np.floor((p["t_device_s"] - 1.0) / 110.592e-6 + 1e-6)
@@ -138,7 +133,7 @@ def test_return_mode_changes_within_a_file(tmp_path):
     a = log.data_packets(log.times(20), mode=0x37)
     b = log.data_packets(log.times(20, 1_000_000 + 20 * 1327.104, 0x39), mode=0x39)
     data = np.concatenate([a, b])
-    path = write(tmp_path / "a.pcap", [log.ethernet(log.udp(row, 2368)) for row in data])
+    path = log.save_data(tmp_path / "a.pcap", data)
     scan = scan_lidar([path])
     assert scan.return_mode == "mixed"
     assert (
@@ -155,7 +150,7 @@ def dual_shot(tmp_path, last, strongest, options):
     block["c"]["d"] = 0
     block["c"]["d"][2:4, 7] = last[0], strongest[0]
     block["c"]["i"][2:4, 7] = last[1], strongest[1]
-    path = write(tmp_path / "a.pcap", [log.ethernet(log.udp(data[0], 2368))])
+    path = log.save_data(tmp_path / "a.pcap", data)
     p = points(path, options) if scan_lidar([path], options).n_points else dict.fromkeys(NAMES, np.empty(0))
     return list(zip(p["range_m"].round(3).tolist(), *(p[n].tolist() for n in NAMES[7:10]), strict=True))
 
@@ -192,7 +187,7 @@ def test_range_limits_leave_the_numbering_alone(tmp_path):
 
 
 def test_blocks_of_points_are_bounded_and_complete(tmp_path):
-    path = write(tmp_path / "a.pcap", log.recording(log.times(200)))
+    path = log.save(tmp_path / "a.pcap", log.recording(log.times(200)))
     scan = scan_lidar([path])
     blocks = list(iter_points([path], clock=scan.clock, max_points=1000))
     assert max(b.n for b in blocks) <= 1000
@@ -209,7 +204,7 @@ def test_a_damaged_block_is_skipped_and_counted(tmp_path):
     b = data.view(log.PAYLOAD)["b"]
     b["flag"][1, 0, 4] = 0xDDFF
     b["az"][2, 0, 7] = 36_001
-    path = write(tmp_path / "a.pcap", [log.ethernet(log.udp(row, 2368)) for row in data])
+    path = log.save_data(tmp_path / "a.pcap", data)
     scan, p = scan_lidar([path]), points(path)
     assert scan.report.losses == {"blocks_with_bad_flag": 1, "blocks_with_bad_azimuth": 1}
     block = np.floor((good[:, 0] - 1e6 - np.rint(good[:, 10] * 1327.104)) / 110.592 + 1e-6)
@@ -222,7 +217,7 @@ def test_a_damaged_block_is_skipped_and_counted(tmp_path):
 def test_limited_field_of_view_is_told(tmp_path):
     data = log.data_packets(log.times(3))
     data.view(log.PAYLOAD)["b"]["az"][1, 0, 6:] += 9000
-    path = write(tmp_path / "a.pcap", [log.ethernet(log.udp(row, 2368)) for row in data])
+    path = log.save_data(tmp_path / "a.pcap", data)
     assert any("azimuth jumps within a packet 1 times" in n for n in scan_lidar([path]).report.notes)
     p = points(path)
     turn = np.diff(np.unwrap(p["azimuth_rad"][p["packet"] == 1].astype(float)))
@@ -234,7 +229,7 @@ def test_limited_field_of_view_is_told(tmp_path):
     [(0x21, "HDL-32E"), (0x28, "VLP-32C"), (0xA1, "VLS-128"), (0x20, "HDL-64E"), (0x77, "unk")],
 )
 def test_other_models_are_refused_by_name(tmp_path, product, name):
-    path = write(tmp_path / "a.pcap", log.recording(log.times(30), product=product))
+    path = log.save(tmp_path / "a.pcap", log.recording(log.times(30), product=product))
     with pytest.raises(UnsupportedError, match=f"{name}.*expected .*set lidar.model to (it|VLP-16)"):
         scan_lidar([path])
     scan = scan_lidar([path], LidarOptions(model="VLP-16"))
@@ -245,7 +240,7 @@ def test_other_models_are_refused_by_name(tmp_path, product, name):
 def test_a_hi_res_is_told_by_its_product_byte(tmp_path):
     """It has the timing of the VLP-16 and other lasers: the same packets make a cloud of less height."""
     records = log.times(30)
-    path = write(tmp_path / "a.pcap", log.recording(records, product=0x24))
+    path = log.save(tmp_path / "a.pcap", log.recording(records, product=0x24))
     assert scan_lidar([path]).model == "Puck Hi-Res"
     flat, steep = points(path), points(path, LidarOptions(model="VLP-16"))
     assert np.array_equal(flat["range_m"], steep["range_m"])
@@ -267,13 +262,13 @@ def test_bad_settings():
 
 
 def test_wrong_model_setting(tmp_path):
-    path = write(tmp_path / "a.pcap", log.recording(log.times(3)))
+    path = log.save(tmp_path / "a.pcap", log.recording(log.times(3)))
     with pytest.raises(UnsupportedError, match=r"lidar\.model 'VLS-128'"):
         scan_lidar([path], LidarOptions(model="VLS-128"))
 
 
 def test_wanting_a_return_that_was_not_recorded_is_told(tmp_path):
-    path = write(tmp_path / "a.pcap", log.recording(log.times(30), mode=0x37))
+    path = log.save(tmp_path / "a.pcap", log.recording(log.times(30), mode=0x37))
     scan = scan_lidar([path], LidarOptions(returns="last"))
     assert scan.n_points == scan_lidar([path]).n_points
     assert any("the sensor recorded the strongest return only" in n for n in scan.report.notes)

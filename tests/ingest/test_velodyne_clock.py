@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from tests.ingest import test_velodyne_log as log
+from tests.ingest.writers import nmea
 from thalweg.core import gps_from_unix
 from thalweg.ingest import LidarClock
 from thalweg.ingest.velodyne.clock import parse_rmc
@@ -14,11 +15,6 @@ from thalweg.ingest.velodyne.reader import iter_points, scan_lidar
 
 HOUR = 1_700_000_000 // 3600 * 3600
 GPS_HOUR = float(gps_from_unix(HOUR))
-
-
-def save(path, frames):
-    path.write_bytes(log.pcap(frames))
-    return path
 
 
 def packet_times(files):
@@ -44,7 +40,7 @@ def assert_gps(gps, stamps_us):
 @pytest.mark.parametrize("t0_us", [5e6, 1_800_000_000.0, 3_599_960_000.0, 3_599_100_000.0, 3_600_000_100.0])
 def test_hour_from_rmc_at_any_place_of_the_hour(tmp_path, lag_s, t0_us):
     stamps = log.times(100, t0_us)
-    path = save(tmp_path / "a", log.recording(stamps, hour_unix=HOUR, lag_s=lag_s))
+    path = log.save(tmp_path / "a", log.recording(stamps, hour_unix=HOUR, lag_s=lag_s))
     gps, device, scan = packet_times([path])
     assert_gps(gps, stamps)
     assert (np.diff(device) > 0).all()
@@ -57,7 +53,7 @@ def test_hour_from_rmc_at_any_place_of_the_hour(tmp_path, lag_s, t0_us):
 
 def test_device_time_runs_on_over_the_hour(tmp_path):
     stamps = log.times(200, 3_599_900_000.0)
-    path = save(tmp_path / "a", log.recording(stamps, every=0))
+    path = log.save(tmp_path / "a", log.recording(stamps, every=0))
     gps, device, scan = packet_times([path])
     np.testing.assert_allclose(device, np.rint(stamps) * 1e-6, rtol=0, atol=1e-9)
     assert np.isnan(gps).all()
@@ -74,7 +70,7 @@ def test_device_time_runs_on_over_the_hour(tmp_path):
     ("state", "words"), [(0, "absent in 10"), (1, "synchronising in 10"), (3, "error in 10")]
 )
 def test_pps_that_is_never_locked(tmp_path, state, words):
-    path = save(tmp_path / "a", log.recording(log.times(100), hour_unix=HOUR, pps=lambda k: state))
+    path = log.save(tmp_path / "a", log.recording(log.times(100), hour_unix=HOUR, pps=lambda k: state))
     gps, _, scan = packet_times([path])
     assert np.isnan(gps).all()
     assert not scan.report.synchronised
@@ -91,7 +87,7 @@ def test_pps_acquired_late(tmp_path, every, start_us):
     frames = log.recording(
         utc, hour_unix=HOUR, every=every, toh=toh, pps=lambda k: 2 if k >= 155 else 1 if k > 50 else 0
     )
-    path = save(tmp_path / "a", frames)
+    path = log.save(tmp_path / "a", frames)
     gps, _, scan = packet_times([path])
     first = next(k for k in range(155, 300) if k % every == every - 1) + 1
     assert np.isnan(gps[:first]).all()
@@ -120,7 +116,7 @@ def test_locked_position_packet_before_the_first_data_packet_of_the_new_time(tmp
         50 - ahead, log.ethernet(log.udp(log.position_packet(toh[50] - 50, 2, log.rmc(HOUR + 1234)), 8308))
     )
     frames.insert(10, log.ethernet(log.udp(early, 8308)))
-    gps, _, scan = packet_times([save(tmp_path / "a", frames)])
+    gps, _, scan = packet_times([log.save(tmp_path / "a", frames)])
     assert np.isnan(gps[:50]).all()
     assert_gps(gps[50:], utc[50:])
     assert not scan.report.gaps
@@ -135,7 +131,7 @@ def test_locked_position_packet_before_the_first_data_packet_of_the_new_time(tmp
 def test_hole_before_the_lock_is_a_hole(tmp_path):
     stamps = np.delete(log.times(300), np.arange(80, 85))
     frames = log.recording(stamps, hour_unix=HOUR, every=10, pps=lambda k: 2 if k >= 150 else 1)
-    _, _, scan = packet_times([save(tmp_path / "a", frames)])
+    _, _, scan = packet_times([log.save(tmp_path / "a", frames)])
     assert [g.lost for g in scan.report.gaps] == [5]
     assert not any("set its clock" in n for n in scan.report.notes)
 
@@ -143,7 +139,7 @@ def test_hole_before_the_lock_is_a_hole(tmp_path):
 def test_lock_lost_in_the_middle(tmp_path):
     stamps = log.times(300)
     frames = log.recording(stamps, hour_unix=HOUR, every=10, pps=lambda k: 3 if 100 <= k < 200 else 2)
-    gps, _, scan = packet_times([save(tmp_path / "a", frames)])
+    gps, _, scan = packet_times([log.save(tmp_path / "a", frames)])
     good = np.r_[0:110, 210:300]
     assert_gps(gps[good], stamps[good])
     assert np.isnan(gps[110:210]).all()
@@ -154,7 +150,7 @@ def test_lock_lost_in_the_middle(tmp_path):
 def test_first_position_packet_comes_late(tmp_path):
     stamps = log.times(6000)
     frames = log.recording(stamps, hour_unix=HOUR, every=5900)
-    gps, _, scan = packet_times([save(tmp_path / "a", frames)])
+    gps, _, scan = packet_times([log.save(tmp_path / "a", frames)])
     # Its state holds for the 5 s before it; what lies further back is not known.
     known = stamps >= stamps[5899] - 5e6
     assert_gps(gps[known], stamps[known])
@@ -169,7 +165,7 @@ def test_position_packets_before_the_first_data_packet(tmp_path):
         for k in range(4)
     ]
     frames = early + log.recording(stamps, every=0)
-    gps, _, _ = packet_times([save(tmp_path / "a", frames)])
+    gps, _, _ = packet_times([log.save(tmp_path / "a", frames)])
     assert_gps(gps, stamps)
 
 
@@ -179,8 +175,8 @@ def test_hole_longer_than_an_hour(tmp_path, hours, hole_us):
     a = log.times(100)
     b = log.times(100, a[-1] + 1327.104 + hole_us + hours * 3.6e9)
     files = [
-        save(tmp_path / "a", log.recording(a, hour_unix=HOUR)),
-        save(tmp_path / "b", log.recording(b, hour_unix=HOUR, seed=2)),
+        log.save(tmp_path / "a", log.recording(a, hour_unix=HOUR)),
+        log.save(tmp_path / "b", log.recording(b, hour_unix=HOUR, seed=2)),
     ]
     gps, device, scan = packet_times(files)
     assert_gps(gps, np.concatenate([a, b]))
@@ -197,8 +193,8 @@ def test_lock_is_not_taken_for_granted_over_a_long_hole(tmp_path, hole_s, known)
     a = log.times(100)
     b = log.times(100, a[-1] + hole_s * 1e6)
     files = [
-        save(tmp_path / "a", log.recording(a, hour_unix=HOUR)),
-        save(tmp_path / "b", log.recording(b, hour_unix=HOUR, pps=lambda k: 1)),
+        log.save(tmp_path / "a", log.recording(a, hour_unix=HOUR)),
+        log.save(tmp_path / "b", log.recording(b, hour_unix=HOUR, pps=lambda k: 1)),
     ]
     gps, _, scan = packet_times(files)
     assert_gps(gps[:100], a)
@@ -213,7 +209,7 @@ def test_sentence_that_is_damaged_stale_or_without_fix(tmp_path):
     position = [k for k, f in enumerate(frames) if len(f) == 554]
     frames[position[3]] = frames[position[3]].replace(b"$GPRMC,22", b"$GPRMC,23")
     frames[position[5]] = log.ethernet(log.udp(log.position_packet(stamps[59], 2, b"$GPRMC,,V,,,,,,,"), 8308))
-    gps, _, scan = packet_times([save(tmp_path / "a", frames)])
+    gps, _, scan = packet_times([log.save(tmp_path / "a", frames)])
     assert_gps(gps, stamps)  # the lock holds, the hour is known
     assert scan.report.losses["rmc_with_bad_checksum"] == 2
     assert scan.report.synchronised
@@ -233,7 +229,7 @@ def test_locked_pps_without_a_usable_hour(tmp_path, sentence, why):
     for k in (35, 25, 15, 5):
         stamp = 1_000_000 + 1327 * k
         frames.insert(k, log.ethernet(log.udp(log.position_packet(stamp, 2, sentence), 8308)))
-    gps, _, scan = packet_times([save(tmp_path / "a", frames)])
+    gps, _, scan = packet_times([log.save(tmp_path / "a", frames)])
     assert np.isnan(gps).all()
     assert "unsynchronised: the PPS was locked, but no sentence named the hour" in scan.report.notes[0]
     assert why in scan.report.notes[0]
@@ -280,10 +276,7 @@ def test_clock_survives_json():
 
 
 def checked(body):
-    total = 0
-    for c in body:
-        total ^= c
-    return b"$" + body + b"*%02X" % total
+    return nmea(body.decode()).strip().encode()
 
 
 @pytest.mark.parametrize(

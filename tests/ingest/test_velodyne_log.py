@@ -10,6 +10,8 @@ import struct
 import dpkt
 import numpy as np
 
+from tests.ingest.writers import nmea
+
 PACKET_US = {0x37: 1327.104, 0x38: 1327.104, 0x39: 663.552}
 PAYLOAD = np.dtype(
     [
@@ -52,11 +54,7 @@ def times(n, t0_us=1_000_000.0, mode=0x37):
 def rmc(unix_s, status="A"):
     """RMC sentence of a UTC instant, fraction cut off."""
     t = dt.datetime.fromtimestamp(int(unix_s), dt.UTC)
-    body = f"GPRMC,{t:%H%M%S}.00,{status},5112.3000,N,01304.5000,E,0.5,30.0,{t:%d%m%y},,,A"
-    check = 0
-    for c in body.encode():
-        check ^= c
-    return f"${body}*{check:02X}\r\n".encode()
+    return nmea(f"GPRMC,{t:%H%M%S}.00,{status},5112.3000,N,01304.5000,E,0.5,30.0,{t:%d%m%y},,,A").encode()
 
 
 def position_packet(toh_us, pps, sentence=b""):
@@ -105,6 +103,17 @@ def pcap(frames, *, big=False, nano=False, link=1, t0=1_700_000_000.25, step_s=0
         stamp = round((t0 - int(t0) + k * step_s) * ticks)
         out.append(struct.pack(e + "IIII", int(t0) + stamp // ticks, stamp % ticks, len(f), len(f)) + f)
     return b"".join(out)
+
+
+def save(path, frames, **kwargs):
+    """A classic pcap file of frames."""
+    path.write_bytes(pcap(frames, **kwargs))
+    return path
+
+
+def save_data(path, rows):
+    """A classic pcap file of data packets alone."""
+    return save(path, [ethernet(udp(row, 2368)) for row in rows])
 
 
 def recording(t_us, *, hour_unix=None, every=10, pps=lambda k: 2, lag_s=0.4, toh=None, **kwargs):

@@ -20,9 +20,9 @@ def stream(files, chunk_bytes=8 << 20):
     return kept, np.concatenate([b.event for b in blocks])
 
 
-def save(path, rows):
-    path.write_bytes(log.pcap([log.ethernet(log.udp(row, 2368)) for row in rows]))
-    return path
+def in_parts(folder, *parts):
+    """Files of these packets, a and b."""
+    return [log.save_data(folder / name, rows) for name, rows in zip("ab", parts, strict=False)]
 
 
 def check_points(files, stamps):
@@ -36,7 +36,7 @@ def check_points(files, stamps):
 
 def test_unbroken_stream_is_clean(tmp_path):
     stamps = log.times(100)
-    report = scan_lidar([save(tmp_path / "a", log.data_packets(stamps))]).report
+    report = scan_lidar([log.save_data(tmp_path / "a", log.data_packets(stamps))]).report
     assert report.clean
     assert report.counts["data_packets"] == 100
     assert report.rates_hz["packets"] == pytest.approx(1e6 / STEP, rel=1e-5)
@@ -49,7 +49,7 @@ def test_unbroken_stream_is_clean(tmp_path):
 def test_lost_packets(tmp_path, missing, mode):
     stamps = log.times(100, mode=mode)
     rows = np.delete(log.data_packets(stamps, mode=mode), missing, axis=0)
-    report = scan_lidar([save(tmp_path / "a", rows)]).report
+    report = scan_lidar([log.save_data(tmp_path / "a", rows)]).report
     inner = [m for m in missing if m]
     assert report.losses.get("packets_lost_estimated", 0) == len(inner)
     runs = [m for m in inner if m - 1 not in inner]
@@ -62,9 +62,9 @@ def test_lost_packets(tmp_path, missing, mode):
 def test_a_jitter_of_less_than_half_a_step_is_no_gap(tmp_path):
     stamps = log.times(50)
     stamps[25] += 0.4 * STEP
-    assert scan_lidar([save(tmp_path / "a", log.data_packets(stamps))]).report.clean
+    assert scan_lidar([log.save_data(tmp_path / "a", log.data_packets(stamps))]).report.clean
     stamps[26:] += 0.95 * STEP
-    assert len(scan_lidar([save(tmp_path / "b", log.data_packets(stamps))]).report.gaps) == 1
+    assert len(scan_lidar([log.save_data(tmp_path / "b", log.data_packets(stamps))]).report.gaps) == 1
 
 
 @pytest.mark.parametrize("t0_us", [1e6, 3_599_950_000.0])
@@ -72,7 +72,7 @@ def test_out_of_order_packets_are_kept_and_no_rollover(tmp_path, t0_us):
     stamps = log.times(100, t0_us)
     order = np.arange(100)
     order[[36, 37, 38, 39, 40]] = [38, 37, 39, 40, 36]
-    path = save(tmp_path / "a", log.data_packets(stamps)[order])
+    path = log.save_data(tmp_path / "a", log.data_packets(stamps)[order])
     kept, _ = stream([path])
     assert np.array_equal(np.sort(kept), np.rint(stamps))
     report = scan_lidar([path]).report
@@ -87,7 +87,7 @@ def test_duplicates_are_dropped(tmp_path, t0_us):
     stamps = log.times(100, t0_us)
     order = np.repeat(np.arange(100), np.where(np.isin(np.arange(100), [5, 38, 39, 99]), 2, 1))
     order = np.insert(order, 60, [20, 21])
-    path = save(tmp_path / "a", log.data_packets(stamps)[order])
+    path = log.save_data(tmp_path / "a", log.data_packets(stamps)[order])
     kept, _ = stream([path])
     assert np.array_equal(kept, np.rint(stamps))
     report = scan_lidar([path]).report
@@ -97,7 +97,7 @@ def test_duplicates_are_dropped(tmp_path, t0_us):
 
 def test_every_packet_twice(tmp_path):
     stamps = log.times(100)
-    path = save(tmp_path / "a", np.repeat(log.data_packets(stamps), 2, axis=0))
+    path = log.save_data(tmp_path / "a", np.repeat(log.data_packets(stamps), 2, axis=0))
     assert scan_lidar([path]).report.losses == {"duplicate_packets": 100}
     check_points([path], stamps)
 
@@ -108,7 +108,7 @@ def test_one_wrong_stamp_costs_one_packet(tmp_path, wrong_us, where):
     stamps = log.times(100, 100_000_000)
     rows = log.data_packets(stamps)
     rows.view(log.PAYLOAD)["toh"][where] = wrong_us
-    path = save(tmp_path / "a", rows)
+    path = log.save_data(tmp_path / "a", rows)
     kept, _ = stream([path])
     assert np.array_equal(kept, np.delete(np.rint(stamps), where))
     key = "unusable_packets" if wrong_us >= 3_600_000_000 else "packets_with_wrong_stamp"
@@ -117,7 +117,7 @@ def test_one_wrong_stamp_costs_one_packet(tmp_path, wrong_us, where):
 
 def test_clock_set_back(tmp_path):
     stamps = np.concatenate([log.times(60, 500_000_000), log.times(60, 499_700_000)])
-    path = save(tmp_path / "a", log.data_packets(stamps))
+    path = log.save_data(tmp_path / "a", log.data_packets(stamps))
     kept, _ = stream([path])
     assert np.array_equal(kept, np.rint(stamps))
     assert scan_lidar([path]).report.losses == {"clock_set_back": 1}
@@ -127,7 +127,7 @@ def test_clock_set_back(tmp_path):
 def test_split_logs_that_overlap(tmp_path, overlap):
     stamps = log.times(120)
     rows = log.data_packets(stamps)
-    files = [save(tmp_path / "a", rows[:60]), save(tmp_path / "b", rows[60 - overlap :])]
+    files = in_parts(tmp_path, rows[:60], rows[60 - overlap :])
     kept, _ = stream(files)
     assert np.array_equal(kept, np.rint(stamps))
     report = scan_lidar(files).report
@@ -139,7 +139,10 @@ def test_split_logs_that_overlap(tmp_path, overlap):
 def test_overlap_whose_first_packet_only_the_second_file_has(tmp_path):
     stamps = log.times(200)
     rows = log.data_packets(stamps)
-    files = [save(tmp_path / "a", np.delete(rows[:120], 60, axis=0)), save(tmp_path / "b", rows[60:])]
+    files = [
+        log.save_data(tmp_path / "a", np.delete(rows[:120], 60, axis=0)),
+        log.save_data(tmp_path / "b", rows[60:]),
+    ]
     kept, _ = stream(files)
     assert np.array_equal(np.sort(kept), np.rint(stamps))
     report = scan_lidar(files).report
@@ -182,7 +185,10 @@ def test_the_newest_packet_ends_the_recording(tmp_path):
     """A short second file of late packets only: the recording ends with the newest packet."""
     stamps = log.times(100)
     rows = log.data_packets(stamps)
-    files = [save(tmp_path / "a", np.delete(rows, [50, 51], axis=0)), save(tmp_path / "b", rows[50:52])]
+    files = [
+        log.save_data(tmp_path / "a", np.delete(rows, [50, 51], axis=0)),
+        log.save_data(tmp_path / "b", rows[50:52]),
+    ]
     report = scan_lidar(files).report
     assert report.t_last_s == pytest.approx(stamps[-1] * 1e-6, abs=1e-6)
     assert report.losses == {"out_of_order_packets": 2}
@@ -191,7 +197,7 @@ def test_the_newest_packet_ends_the_recording(tmp_path):
 def test_missing_part_between_split_logs_is_a_gap(tmp_path):
     stamps = log.times(2400)
     rows = log.data_packets(stamps)
-    files = [save(tmp_path / "a", rows[:60]), save(tmp_path / "b", rows[2260:])]
+    files = in_parts(tmp_path, rows[:60], rows[2260:])
     report = scan_lidar(files).report
     assert [g.lost for g in report.gaps] == [2200]
     assert report.gaps[0].duration_s == pytest.approx(2201 * STEP * 1e-6, abs=2e-6)
@@ -208,7 +214,7 @@ def test_pieces_do_not_change_the_judgement(tmp_path, chunk, rng):
     order = np.insert(order, rng.integers(5, 390, 9), rng.integers(0, 390, 9))
     rows = log.data_packets(stamps)[order]
     rows.view(log.PAYLOAD)["toh"][[70, 300]] = 1_234_567_890
-    path = save(tmp_path / "a", rows)
+    path = log.save_data(tmp_path / "a", rows)
     whole, pieces = stream([path]), stream([path], chunk)
     assert np.array_equal(whole[0], pieces[0])
     assert np.array_equal(whole[1], pieces[1])
@@ -221,7 +227,7 @@ def test_packets_of_other_kinds_are_dropped_and_counted(tmp_path):
     p["mode"][10] = 0x00
     p["product"][20] = 0x28
     p["b"]["flag"][30] = 0
-    path = save(tmp_path / "a", rows)
+    path = log.save_data(tmp_path / "a", rows)
     report = scan_lidar([path]).report
     assert report.losses["unusable_packets"] == 3
     assert report.losses["packets_lost_estimated"] == 3
@@ -235,7 +241,7 @@ def test_unknown_return_mode_is_refused(tmp_path):
     with pytest.raises(
         UnsupportedError, match=r"none of 10 data packets can be used \(return mode byte 0x00"
     ):
-        scan_lidar([save(tmp_path / "a", rows)])
+        scan_lidar([log.save_data(tmp_path / "a", rows)])
 
 
 def test_wrong_port_is_named(tmp_path):
@@ -288,7 +294,7 @@ def test_windows_give_each_point_once_and_as_it_was(tmp_path, count):
     order = np.delete(np.insert(np.arange(1400), [500, 901, 901], [480, 890, 891]), slice(1200, 1230))
     order[[466, 467, 468, 469]] = [469, 467, 468, 466]
     rows = rows[order]
-    files = [save(tmp_path / "a", rows[:650]), save(tmp_path / "b", rows[650:])]
+    files = in_parts(tmp_path, rows[:650], rows[650:])
     options, clock = LidarOptions(), scan_lidar(files).clock
 
     def read(chunk_bytes, max_points=1_000_000, window=None):
@@ -312,6 +318,6 @@ def test_windows_give_each_point_once_and_as_it_was(tmp_path, count):
 
 def test_the_length_of_a_log_is_known_from_its_begin(tmp_path):
     rows = log.data_packets(log.times(900))
-    files = [save(tmp_path / "a", rows[:450]), save(tmp_path / "b", rows[450:])]
+    files = in_parts(tmp_path, rows[:450], rows[450:])
     reader = VelodyneReader(files=files, options=LidarOptions())
     assert reader.length_s() == pytest.approx(900 * log.PACKET_US[0x37] * 1e-6, rel=0.01)

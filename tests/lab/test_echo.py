@@ -10,8 +10,8 @@ import pytest
 
 from tests.lab.conftest import ECHO_M, FRAME, SEED, short
 from thalweg.core import ConfigError, read_table
+from thalweg.ingest import PositionLog
 from thalweg.ingest.nmea import read_nmea
-from thalweg.ingest.nmea.reader import NmeaLog
 from thalweg_lab.instruments import TRUE_SOUNDINGS, simulate_echo
 from thalweg_lab.reach import River
 from thalweg_lab.river import Material, Scene
@@ -43,7 +43,7 @@ def bed(folder: Path, corners: Any = LEVEL, *boxes: Any) -> Path:
 
 def record(
     folder: Path, mesh: Path, echo: dict[str, Any], boat: dict[str, Any] | None = None, **changes: Any
-) -> tuple[NmeaLog, pd.DataFrame, dict[str, Any]]:
+) -> tuple[PositionLog, pd.DataFrame, dict[str, Any]]:
     config = short(echo={"sigma_m": 0.0, **echo}, boat=CALM if boat is None else boat, **changes)
     simulate_echo(
         config,
@@ -59,7 +59,7 @@ def record(
     return read_nmea([folder / "echo.nmea"]), truth, json.loads((folder / "echo.json").read_text())
 
 
-def dpt(log: NmeaLog) -> np.ndarray:
+def dpt(log: PositionLog) -> np.ndarray:
     return log.depths.loc[log.depths["sentence"] == "DPT", "depth_m"].to_numpy()
 
 

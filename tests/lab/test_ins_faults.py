@@ -11,8 +11,8 @@ import pytest
 
 from tests.bands import band
 from thalweg.core import R_ENU_NED, LocalFrame, rotation_enu_body
+from thalweg.ingest import PoseLog
 from thalweg.ingest.anpp import find_packets, read_anpp
-from thalweg.ingest.anpp.reader import AnppLog
 from thalweg_lab.instruments import attitude_errors_rad, boat_field_mg, simulate_ins
 from thalweg_lab.instruments.ins import (
     EARTH_NED_MG,
@@ -39,8 +39,8 @@ def twin(**ins: Any) -> TwinConfig:
     return TwinConfig.of_size("tiny", duration_s=8.0, ins=ins)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Log(AnppLog):
+@dataclass(slots=True, kw_only=True)
+class Log(PoseLog):
     """A log with its raw sensors (packets 28), which the reader leaves aside."""
 
     raw: pd.DataFrame

@@ -85,7 +85,7 @@ def results(entries, parts, repository: Path, tmp_path_factory: pytest.TempPathF
     for name in ("p2_table1", "t_table3_1", "p1_direct"):
         studies[f"budgets/{name}.csv"] = folder / f"{name}.csv"
         budget = read_budget(repository / f"resources/budgets/{name}.yaml")
-        long_table(budget, None).to_csv(folder / f"{name}.csv", index=False)
+        long_table(budget).to_csv(folder / f"{name}.csv", index=False)
     settings = {
         name: load_campaign(repository / f"config/campaigns/{name}.yaml").model_dump(mode="json")
         for name in ("full", "field", "mulde", "reach", "basin")

@@ -9,10 +9,13 @@ kinds of mistake, **anew each time**: tests written for the survivors of one dra
 ``--seed`` repeats one. Nothing is taken out by hand: what no test can see is told by the rules of
 `mutations`, and what these miss counts as a survivor.
 
-One process loads the libraries (seconds) and no module of Thalweg; for each mistake it forks a child, which
-imports the changed module instead of that on disk and runs the tests until one fails. A mistake is found if a
-test fails, raises, runs out of CPU time or crashes, and passes on the right code. No file of the
-source tree is touched.
+All tests are collected once, and run once on the right code to note which lines each of them executes (kept
+in pytest's cache until the library, a helper of the tests or the file of tests changes). For each mistake a
+child is forked, which exchanges the changed function and runs the tests that execute its statement, until
+one fails; a mistake that no test executes survives at once. What runs when modules are imported cannot be
+exchanged: there the child has no module of Thalweg yet and imports the changed one. A mistake is found if a
+test fails, raises, runs out of CPU time or crashes, and passes on the right code. No file of the source tree
+is touched.
 
 Own code, because the two known tools do not reach compiled functions: mutmut 3 puts all mistakes into one
 file behind a switch and skips every decorated function, so each numba kernel; cosmic-ray writes each mistake
@@ -27,12 +30,15 @@ Exit code 1 if more than 8 % of the mistakes survive; 2 if tests fail on the rig
 import argparse
 import ast
 import datetime
+import gc
 import hashlib
 import importlib
 import importlib.abc
 import importlib.machinery
 import importlib.util
+import inspect
 import os
+import pickle
 import random
 import re
 import resource
@@ -41,14 +47,16 @@ import signal
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 import traceback
-from collections import Counter
-from collections.abc import Sequence
+from collections import Counter, defaultdict
+from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
+from types import CodeType, FrameType, FunctionType
 from typing import Any, Final
 
 import yaml
@@ -73,6 +81,10 @@ COMPILED_SHARE: Final = 1 / 3
 """Functions of modules that numba compiles get so much of their share: uncompiled they take longer."""
 LIMIT_S: Final = 150.0
 """CPU time of a child; the right code takes a third of it where numba's functions run uncompiled."""
+MAP_LIMIT_S: Final = 900.0
+"""CPU time of a file of tests while its lines are noted."""
+KEPT: Final = REPOSITORY / ".pytest_cache/d/mutants"
+"""Folder of the lines that each test executes."""
 MEMORY_BYTES: Final = 8 * 2**30
 """Address space of a child: a mistake in a size must not take the machine down."""
 LIBRARIES: Final = (
@@ -135,17 +147,25 @@ class Run:
     site: mutations.Site | None
     log: Path
     number: int = 0
+    tests: list[str] = field(default_factory=list)
+    """Names of the tests that answer, in the order in which they are run."""
+    limit_s: float = LIMIT_S
     started_s: float = field(default_factory=time.monotonic)
     verdict: str = ""
     cpu_s: float = 0.0
 
     @property
-    def accused(self) -> dict[tuple[str, str], str]:
-        """The test that failed, or all files after a crash; by what tells runs of the right code apart."""
+    def accused(self) -> tuple[str, ...]:
+        """The test that failed, or all after a crash."""
         text = self.log.read_text(errors="replace")
-        failed = re.search(r"^(?:FAILED|ERROR) tests/(.+?)(?: - |$)", text, re.M)
-        tests = (failed.group(1),) if failed else self.target.tests
-        return {(self.target.module if self.target.compiled else "", test): test for test in tests}
+        failed = re.search(r"^FAILED tests/(.+)$", text, re.M)
+        return (failed.group(1),) if failed else tuple(self.tests) or self.target.tests
+
+    @property
+    def mistake(self) -> str:
+        """What is changed into what."""
+        assert self.site is not None
+        return mutations.in_words(self.target.source, self.site)
 
     @property
     def words(self) -> str:
@@ -153,58 +173,245 @@ class Run:
         return (
             f"right code, {self.target.tests[0]}"
             if self.site is None
-            else mutations.in_words(self.target.source, self.site)
+            else f"{self.target.module}:{self.site.line}  {self.mistake}"
         )
 
+    @property
+    def lines(self) -> range:
+        """Lines of the statement with the mistake, without those of the statements in it."""
+        assert self.site is not None
+        at = self.site.line
+        around = (
+            node
+            for node in ast.walk(ast.parse(self.target.source))
+            if isinstance(node, ast.stmt) and node.lineno <= at <= (node.end_lineno or 0)
+        )
+        inner = max(around, key=lambda node: (node.lineno, -(node.end_lineno or 0)))
+        ends = [part.lineno - 1 for part in getattr(inner, "body", [])]
+        return range(inner.lineno, max(at, min([inner.end_lineno or 0, *ends])) + 1)
 
-# ---------------------------------------------------------------- in the child
+    def code(self, *, changed: bool) -> CodeType:
+        """The module, with its mistake or without."""
+        text = self.target.source
+        tree = mutations.mutated(text, self.site) if changed and self.site else ast.parse(text)
+        code: CodeType = compile(tree, self.target.path, "exec")
+        return code
+
+    @property
+    def functions(self) -> list[tuple[CodeType, CodeType]] | None:
+        """Right and changed code of the functions with the mistake; None if it stands outside of all."""
+        return different_functions(self.code(changed=False), self.code(changed=True))
 
 
-class Changed(importlib.abc.MetaPathFinder, importlib.abc.Loader):
-    """Gives the changed tree of one module."""
+def different_functions(right: CodeType, changed: CodeType) -> list[tuple[CodeType, CodeType]] | None:
+    """Pairs of functions of two modules or classes; None if more than functions differs."""
+    bare, inside = [], []
+    for code in (right, changed):
+        inside.append([part for part in code.co_consts if isinstance(part, CodeType)])
+        bare.append(code.replace(co_consts=tuple(part for part in code.co_consts if part not in inside[-1])))
+    if bare[0] != bare[1]:
+        return None
+    found = list[tuple[CodeType, CodeType]]()
+    for pair in zip(*inside, strict=True):
+        if pair[0] != pair[1]:
+            function = pair[0].co_flags & inspect.CO_OPTIMIZED
+            if (deeper := [pair] if function else different_functions(*pair)) is None:
+                return None
+            found += deeper
+    return found
 
-    def __init__(self, target: Target, tree: ast.Module) -> None:
-        self.name, self.path = target.name, str(target.path)
-        self.code = compile(tree, self.path, "exec")
 
-    def find_spec(self, fullname: str, path: Any, target: Any = None) -> Any:
-        """A spec of the module that is changed; None for all others."""
-        if fullname != self.name:
-            return None
-        return importlib.machinery.ModuleSpec(fullname, self, origin=self.path)
-
-    def exec_module(self, module: Any) -> None:
-        """Run the changed tree in the module's namespace."""
-        module.__file__ = self.path
-        exec(self.code, module.__dict__)
+# ---------------------------------------------------------------- children with one mistake each
 
 
-def run_child(run: Run) -> None:
-    """Import the changed module and run its tests; never returns."""
-    os.setsid()
-    log = os.open(run.log, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
-    os.dup2(log, 1)
-    os.dup2(log, 2)
-    seconds = int(LIMIT_S) + 1
-    resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + 5))
-    resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, MEMORY_BYTES))
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    text = run.target.source
-    tree = ast.parse(text) if run.site is None else mutations.mutated(text, run.site)
-    sys.meta_path.insert(0, Changed(run.target, tree))
+def options_of_pytest(compiled: bool) -> list[str]:
+    """What all runs of pytest are told; sets whether numba compiles."""
     import numba
+
+    numba.config.DISABLE_JIT = compiled
+    options = ["-s", "-q", "--tb=line", "--assert=plain", "--benchmark-disable", "--hypothesis-seed=0"]
+    options += ["-m", "not slow and not workflow and not real", "-p", "no:cacheprovider", "-p", "no:xdist"]
+    if compiled:
+        options += ["-W", "ignore::RuntimeWarning"]  # error_model "numpy" divides by zero without a word
+    return options
+
+
+class Tracers(dict[str, Any]):
+    """By file of the library what notes the lines of its functions that run."""
+
+    def __init__(self) -> None:
+        self.lines = defaultdict[str, set[int]](set)
+
+    def __missing__(self, file: str) -> Any:
+        note = None
+        if file.startswith(str(SOURCE)):
+
+            def note(frame: FrameType, _event: str, _arg: Any) -> Any:
+                self.lines[file].add(frame.f_lineno)
+                return note
+
+        self[file] = note
+        return note
+
+    def __call__(self, frame: FrameType, _event: str, _arg: Any) -> Any:
+        """What Python calls for each function that begins."""
+        code = frame.f_code
+        return self[code.co_filename] if code.co_flags & inspect.CO_OPTIMIZED else None
+
+    def noted(self, begin: bool) -> dict[str, set[int]]:
+        """Lines since the last call; begins, or ends, to note those of this and later threads."""
+        found = {file: {*lines} for file, lines in self.lines.items() if lines}
+        for lines in self.lines.values():
+            lines.clear()
+        threading.settrace(self if begin else None)  # type: ignore[arg-type]
+        sys.settrace(self if begin else None)
+        return found
+
+
+class Stop:
+    """Plugin of pytest: a child ends with the first test that fails."""
+
+    stops = True
+
+    def pytest_runtest_logreport(self, report: Any) -> None:
+        """Tell which one it was."""
+        if report.failed and self.stops:
+            print(f"{report.longreprtext[-500:]}\nFAILED {report.nodeid}", flush=True)
+            os._exit(1)
+
+
+def import_child(run: Run) -> int:
+    """Import the changed module and run its tests: for what runs when a module is imported."""
     import pytest
 
-    options = ["-x", "-q", "--tb=line", "--assert=plain", "--benchmark-disable", "--hypothesis-seed=0"]
-    options += ["-m", "not slow and not workflow and not real", "-p", "no:cacheprovider", "-p", "no:xdist"]
-    if run.target.compiled:
-        numba.config.DISABLE_JIT = True
-        options += ["-W", "ignore::RuntimeWarning"]  # error_model "numpy" divides by zero without a word
-    with tempfile.TemporaryDirectory(prefix="mutant_") as folder:
-        files = [f"tests/{name}" for name in run.target.tests]
-        code = pytest.main([*options, f"--basetemp={folder}/t", *files])
-    sys.stdout.flush()
-    os._exit(int(code))
+    loader = importlib.machinery.SourceFileLoader
+    right, changed = loader.get_code, run.code(changed=True)
+    loader.get_code = lambda self, name: changed if name == run.target.name else right(self, name)  # type: ignore[method-assign]
+    return pytest.main(
+        [*options_of_pytest(run.target.compiled), *(f"tests/{name}" for name in run.target.tests)],
+        plugins=[Stop()],
+    )
+
+
+class Judge(Stop):
+    """Plugin of pytest: all tests are collected once, then a child is forked for each mistake.
+
+    A mistake meets the tests that execute its statement, the cheaper files first, then all others of these
+    files, which may look at a value that an earlier test or a fixture left. A file none of whose tests
+    executes the statement cannot tell it from the right code; where no file that answers for the module does,
+    those of other modules are asked.
+    """
+
+    def __init__(self, runs: Sequence[Run], workers: int, until_s: float) -> None:
+        self.runs, self.workers, self.until_s = runs, workers, until_s
+        self.tracers = Tracers()
+        self.bad = set[str]()
+
+    def pytest_runtestloop(self, session: Any) -> bool:
+        """Map lines to tests, then judge."""
+        at_import = self.tracers.noted(begin=False)
+        self.items = {item.nodeid.removeprefix("tests/"): item for item in session.items}
+        for run in self.runs:
+            importlib.import_module(run.target.name)
+        gc.unfreeze()
+        self.loaded = defaultdict[str, list[FunctionType]](list)
+        for each in gc.get_objects():
+            if isinstance(each, FunctionType):
+                self.loaded[each.__code__.co_filename].append(each)
+        gc.freeze()
+        tables = self.tables()
+        waiting = []
+        for run in self.runs:
+            path, lines = str(run.target.path), {*run.lines}
+            codes = [function.__code__ for function in self.loaded[path]]
+            if at_import.get(path, set()) & lines or any(old not in codes for old, _ in run.functions or ()):
+                run.verdict = "import"
+                continue
+            for files in (run.target.tests, tables):
+                chosen = []
+                for table in (tables[file] for file in files):
+                    first = [test for test, (_, seen) in table.items() if seen.get(path, set()) & lines]
+                    if first:
+                        chosen.append((sum(table[test][0] for test in first), first, table))
+                if chosen:
+                    break
+            chosen.sort(key=lambda each: each[0])
+            run.tests = [test for _, first, _ in chosen for test in first]
+            run.tests += [test for _, first, table in chosen for test in table if test not in first]
+            run.limit_s = 20 + 5 * sum(cpu_s for *_, table in chosen for cpu_s, _ in table.values())
+            if run.tests:
+                waiting.append(run)
+            else:
+                run.verdict = "survived"
+                print(f"no test      0.0 s  {run.words}", flush=True)
+        self.bad = judged(waiting, self.child, self.workers, self.until_s)
+        return True
+
+    def tables(self) -> dict[str, dict[str, tuple[float, dict[str, set[int]]]]]:
+        """Of each file of tests, by test: CPU time, and lines by file of the library."""
+        tests = REPOSITORY / "tests"
+        digest = hashlib.sha256(str(self.runs[0].target.compiled).encode())
+        for path in sorted({*SOURCE.rglob("*.py"), *SOURCE.rglob("*.yaml"), *tests.rglob("*.py")}):
+            if not path.name.startswith("test_") and path.parent != HERE:
+                digest.update(path.read_bytes())
+        kept = {}
+        for file in {file for run in self.runs for file in run.target.tests}:
+            own = digest.copy()
+            own.update((tests / file).read_bytes())
+            kept[file] = KEPT / f"{own.hexdigest()}.pickle"
+        KEPT.mkdir(parents=True, exist_ok=True)
+        missing = [
+            Run(Target("", (file,)), None, path.with_suffix(".txt"), limit_s=MAP_LIMIT_S)
+            for file, path in kept.items()
+            if not path.exists()
+        ]
+        run_all(missing, self.traced, self.workers)
+        if failed := [run.target.tests[0] for run in missing if run.verdict != "survived"]:
+            raise RuntimeError(f"lines of {failed} cannot be noted: see {KEPT}/*.txt")
+        return {file: pickle.loads(path.read_bytes()) for file, path in kept.items()}
+
+    def traced(self, run: Run) -> int:
+        """Run a file of tests on the right code and keep which lines each of them executes."""
+        self.stops = False
+        table = {}
+        own = [item for name, item in self.items.items() if name.split("::")[0] == run.target.tests[0]]
+        for item, following in zip(own, [*own[1:], None], strict=True):
+            began_s = time.process_time()
+            self.tracers.noted(begin=True)
+            item.config.hook.pytest_runtest_protocol(item=item, nextitem=following)
+            lines = self.tracers.noted(begin=False)
+            table[item.nodeid.removeprefix("tests/")] = time.process_time() - began_s, lines
+        run.log.with_suffix(".pickle").write_bytes(pickle.dumps(table))
+        return 0
+
+    def child(self, run: Run) -> int:
+        """Exchange the functions and run the tests; `pytest_runtest_logreport` ends it if one fails."""
+        for old, new in run.functions or ():
+            for function in self.loaded[str(run.target.path)]:
+                if function.__code__ == old:
+                    function.__code__ = new
+        chosen = [self.items[test] for test in run.tests]
+        for item, following in zip(chosen, [*chosen[1:], None], strict=True):
+            item.config.hook.pytest_runtest_protocol(item=item, nextitem=following)
+        return 0
+
+
+def in_session(runs: Sequence[Run], workers: int, until_s: float) -> tuple[list[tuple[str, float]], set[str]]:
+    """Judge mistakes in functions of modules that are all compiled, or none of them.
+
+    Returns
+    -------
+    list of verdicts (empty: not judged; ``import``: for `import_child`) and CPU times, and the tests whose
+    verdicts do not count.
+    """
+    import pytest
+
+    judge = Judge(runs, workers, until_s)
+    files = sorted({f"tests/{file}" for run in runs for file in run.target.tests})
+    judge.tracers.noted(begin=True)
+    code = pytest.main([*options_of_pytest(runs[0].target.compiled), *files], plugins=[judge])
+    assert code in (0, 5), "tests cannot be collected"
+    return [(run.verdict, run.cpu_s) for run in runs], judge.bad
 
 
 # ---------------------------------------------------------------- in the parent
@@ -278,7 +485,9 @@ def draw(targets: Sequence[Target], count: int, seed: int) -> list[tuple[Target,
     return [ranked[i][1:] for i in sorted(first)]
 
 
-def run_all(runs: Sequence[Run], workers: int, until_s: float = float("inf")) -> None:
+def run_all(
+    runs: Sequence[Run], child: Callable[[Run], int], workers: int, until_s: float = float("inf")
+) -> None:
     """Fork a child for each run, some at a time; fills in verdicts and CPU times.
 
     Runs that have not begun at ``until_s`` of the monotonic clock keep an empty verdict.
@@ -292,22 +501,16 @@ def run_all(runs: Sequence[Run], workers: int, until_s: float = float("inf")) ->
             run.started_s = time.monotonic()
             pid = os.fork()
             if pid == 0:
-                try:
-                    run_child(run)
-                except BaseException:
-                    traceback.print_exc()
-                finally:
-                    sys.stderr.flush()
-                    os._exit(99)
+                _run_and_exit(run, child)
             busy[pid] = run
         if not busy:
             break
         pid, status, used = os.wait4(-1, os.WNOHANG)
         if pid == 0:
             time.sleep(0.02)
-            for child, run in busy.items():
-                if time.monotonic() - run.started_s > 10 * LIMIT_S:  # sleeps, where CPU time stands still
-                    os.killpg(child, 9)
+            for process, run in busy.items():
+                if time.monotonic() - run.started_s > 10 * run.limit_s:  # sleeps, where CPU time stands still
+                    os.killpg(process, 9)
             continue
         run = busy.pop(pid)
         run.cpu_s = used.ru_utime + used.ru_stime
@@ -316,8 +519,67 @@ def run_all(runs: Sequence[Run], workers: int, until_s: float = float("inf")) ->
         else:
             code = os.WEXITSTATUS(status)
             run.verdict = "survived" if code in (0, 5) else "failed" if code in (1, 2) else "crash"
-        line = 0 if run.site is None else run.site.line
-        print(f"{run.verdict:9} {run.cpu_s:6.1f} s  {run.target.module}:{line}  {run.words}", flush=True)
+        print(f"{run.verdict:9} {run.cpu_s:6.1f} s  {run.words}", flush=True)
+
+
+def _run_and_exit(run: Run, child: Callable[[Run], int]) -> None:
+    """What a child does, under limits of time and memory, with temporary files of its own."""
+    code = 99
+    try:
+        os.setsid()
+        sys.stdout = sys.stderr = run.log.open("w")
+        os.dup2(sys.stdout.fileno(), 1)
+        os.dup2(sys.stdout.fileno(), 2)
+        seconds = int(run.limit_s) + 1
+        resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + 5))
+        resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, MEMORY_BYTES))
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+        with tempfile.TemporaryDirectory(prefix="mutant_") as folder:
+            os.environ["PYTEST_DEBUG_TEMPROOT"] = folder
+            code = child(run)
+    except BaseException:
+        traceback.print_exc()
+    finally:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(code)
+
+
+def judged(runs: Sequence[Run], child: Callable[[Run], int], workers: int, until_s: float) -> set[str]:
+    """Run mistakes, then the right code through what failed; returns tests that fail there, too."""
+    run_all(runs, child, workers, until_s)
+    found = [run for run in runs if run.verdict not in ("", "survived")]
+    right: dict[tuple[str, ...], Run] = {}
+    for run in found:
+        target = Target(run.target.module, run.accused)
+        right[run.accused] = Run(target, None, run.log.with_suffix(".right.txt"), tests=[*run.accused])
+    run_all([*right.values()], child, workers)
+    bad = {test for run in right.values() if run.verdict != "survived" for test in run.target.tests}
+    for run in found:
+        if run.verdict == "timeout" and 2 * right[run.accused].cpu_s > run.limit_s:
+            bad |= {*run.accused}
+        run.verdict = "unclear" if bad & {*run.accused} else run.verdict
+    return bad
+
+
+def judge(runs: Sequence[Run], workers: int, minutes: float) -> set[str]:
+    """Give each mistake its verdict: empty where time is up; returns tests whose verdicts do not count."""
+    began = until_s = time.monotonic()
+    bad = set[str]()
+    for compiled in (False, True):
+        batch = [run for run in runs if run.target.compiled == compiled and run.functions is not None]
+        if not batch:
+            continue
+        until_s += 60 * minutes * len(batch) / len(runs)
+        with ProcessPoolExecutor(1) as pool:  # its imports stay its own
+            verdicts, failing = pool.submit(in_session, batch, workers, until_s).result()
+        bad |= failing
+        for run, (verdict, cpu_s) in zip(batch, verdicts, strict=True):
+            run.verdict, run.cpu_s = verdict, cpu_s
+    rest = [run for run in runs if run.verdict == "import" or run.functions is None]
+    for run in rest:
+        run.verdict = ""
+    return bad | judged(rest, import_child, workers, began + 60 * minutes)
 
 
 def report(runs: Sequence[Run], seed: int, cpu_s: float, wall_s: float, left: int) -> str:
@@ -360,7 +622,7 @@ def report(runs: Sequence[Run], seed: int, cpu_s: float, wall_s: float, left: in
     lines += ["", "## Survivors", "", "| module, function | line | mistake |", "| --- | --- | --- |"]
     for run in lost:
         assert run.site is not None
-        words = run.words.replace("|", "\\|")
+        words = run.mistake.replace("|", "\\|")
         lines.append(f"| {run.target.module}, {run.site.function} | {run.site.line} | `{words}` |")
     return "\n".join(lines) + "\n"
 
@@ -400,27 +662,15 @@ def main() -> int:
             for number, (target, site) in enumerate(drawn)
         ]
         random.Random(seed).shuffle(runs)  # those that time leaves out are anywhere
-        run_all(runs, options.workers, began + 60 * options.minutes)
+        bad = judge(runs, options.workers, options.minutes)
         left = sum(not run.verdict for run in runs)
-        runs = sorted((run for run in runs if run.verdict), key=lambda run: run.number)
-        found = [run for run in runs if run.verdict != "survived"]
-        right = {
-            key: Run(Target(run.target.module, (test,)), None, logs / f"{run.target.name}.{number}.right.txt")
-            for run in found
-            for number, (key, test) in enumerate(run.accused.items())
-        }
-        run_all(list(right.values()), options.workers)
-        bad = {run.target.tests[0] for run in right.values() if run.verdict != "survived"}
-        for run in found:
-            same = [right[key] for key in run.accused]
-            if run.verdict == "timeout" and 2 * sum(each.cpu_s for each in same) > LIMIT_S:
-                bad |= {*run.accused.values()}  # the right code takes as long
-        runs = [run for run in runs if run.verdict == "survived" or not bad & {*run.accused.values()}]
+        runs = sorted((run for run in runs if run.verdict not in ("", "unclear")), key=lambda run: run.number)
     if bad:
         print("Fail on the right code, or take too long; what they find is not counted:", *sorted(bad))
     if left:
         print(f"{left} mistakes were left out: {options.minutes:g} minutes are over")
-    cpu_s = sum(run.cpu_s for run in [*right.values(), *runs])
+    used = os.times()
+    cpu_s = used.children_user + used.children_system
     options.out.parent.mkdir(parents=True, exist_ok=True)
     options.out.write_text(report(runs, seed, cpu_s, time.monotonic() - began, left))
     lost = sum(run.verdict == "survived" for run in runs)

@@ -87,3 +87,77 @@ def test_an_edit_elsewhere_draws_the_same_mistakes_of_a_function(
         of_f = drawn(edited, count)
         assert of_f == drawn(function, len(of_f))
     assert len(drawn(edited, 100)) == len(drawn(function, 100)) > len(drawn(edited, 6)) > 0
+
+
+LIBRARY = """
+SCALE = 3.0
+
+def double(x):
+    return x + x
+
+def early(x):
+    return -x
+
+def never(x):
+    return -x
+
+MINUS = early(SCALE)
+"""
+TESTS = """
+from functools import cache
+from small_library import values
+
+@cache
+def made():
+    return values.double(3.0)
+
+def test_makes_what_another_looks_at():
+    made()
+
+def test_looks_at_it():
+    assert made() == 6.0
+
+def test_what_is_made_at_import():
+    assert (values.SCALE, values.MINUS) == (3.0, -3.0)
+"""
+ASIDE = """
+from pathlib import Path
+from small_library import values
+
+def test_something_else():
+    with Path("marks").open("a") as file:
+        file.write(".")
+"""
+
+
+def test_selection_loses_no_mistake_that_all_tests_find(
+    run: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also one that a test finds which does not execute its line; what no test executes survives at once."""
+    texts = {
+        "src/small_library/values.py": LIBRARY,
+        "tests/small/test_values.py": TESTS,
+        "tests/small/test_aside.py": ASIDE,
+        "pytest.ini": "[pytest]\npythonpath = src\nmarkers = slow\n workflow\n real\n",
+    }
+    for name, text in texts.items():
+        path = tmp_path / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text)
+    for name, folder in {"REPOSITORY": "", "SOURCE": "src", "KEPT": "kept"}.items():
+        monkeypatch.setattr(run, name, tmp_path / folder)
+    monkeypatch.chdir(tmp_path)
+    target = run.Target("small_library/values", ("small/test_aside.py", "small/test_values.py"))
+    runs = [
+        run.Run(target, site, tmp_path / f"{number}.txt", number)
+        for number, site in enumerate(run.mistakes(target))
+    ]
+    assert run.judge(runs, 1, 5.0) == set()
+    assert {each.site.function: each.verdict for each in runs} == {
+        "": "failed",
+        "double": "failed",
+        "early": "failed",
+        "never": "survived",
+    }
+    assert [each.site.function for each in runs if not each.cpu_s] == ["never"]
+    assert len((tmp_path / "marks").read_text()) == 1 + 2  # once for the lines, and with imports

@@ -8,7 +8,7 @@ from scipy.optimize import brentq
 
 from thalweg.calibration import Rig
 from thalweg.core import Camera, Rigid
-from thalweg.panorama import compose, dependence_on_cloud, reading_that_fits, sphere_rays
+from thalweg.panorama import compose, reading_that_fits, sphere_rays
 from thalweg.panorama.compose import Composed, lens_pixels
 from thalweg.settings.sections import Rig as RigSettings
 
@@ -184,27 +184,3 @@ def test_views_that_are_turned_against_each_other_are_told(near: dict[str, np.nd
     for lens in ("front", "back"):
         turned = near | {lens: np.ascontiguousarray(near[lens][::-1, ::-1])}
         assert reading_that_fits(turned, rig) == "turned by half against each other"
-
-
-@pytest.mark.parametrize(
-    ("reading", "wrong"),
-    [
-        ("", lambda views: views),
-        ("changed over", lambda views: {"front": views["back"], "back": views["front"]}),
-        ("mirrored", lambda views: {name: view[:, ::-1].copy() for name, view in views.items()}),
-        ("upside down", lambda views: {name: view[::-1, ::-1].copy() for name, view in views.items()}),
-    ],
-)
-def test_the_cloud_tells_views_that_are_read_in_a_wrong_way(
-    near: dict[str, np.ndarray], reading: str, wrong
-) -> None:
-    rig = rig_of_the_shelf()
-    directions = np.random.default_rng(4).standard_normal((20_000, 3))
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    # points of the sphere, bright where the picture is, with as much noise as signal
-    grey = texture(directions).mean(axis=1)
-    intensity = grey + grey.std() * np.random.default_rng(5).standard_normal(len(grey))
-    front = Rigid(R=np.eye(3), shift_m=-rig.centre_front_m)
-    told = dependence_on_cloud(wrong(near), rig, front, 2.0 * directions, intensity)
-    assert max(told, key=lambda name: told[name]) == reading
-    assert told[reading] > 5 * sorted(told.values())[-2]

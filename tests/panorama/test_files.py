@@ -31,7 +31,6 @@ from thalweg.panorama import (
     place_rig_files,
     rig_photographs,
 )
-from thalweg.panorama.files import _tell_reading
 from thalweg.settings.sections import Colour, Panorama, Rig as RigSettings
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=200.0)
@@ -243,8 +242,6 @@ def test_an_unknown_clock_a_missing_mask_and_a_cloud_of_elsewhere_are_told(
     with caplog.at_level("WARNING", logger="thalweg"):
         make_panoramas(given[0], away, given[2], survey / "points.laz", Panorama(width_px=64), *out)
     assert caplog.text.count("no point of the cloud within 80 m: taken outside the time of the lidar?") == 2
-    _tell_reading({"": 10.0, "changed over": 90.0, "mirrored": 12.0})
-    assert "fit both views better if these are changed over (90 nats, as they are 10)" in caplog.text
 
 
 def test_a_rig_colours_all_walls(survey: Path, tmp_path: Path) -> None:

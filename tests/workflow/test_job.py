@@ -5,13 +5,17 @@ import os
 import runpy
 import subprocess
 import sys
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
+import pandas as pd
+import pyarrow as pa
 import pytest
 from snakemake.iocontainers import InputFiles, Log, OutputFiles, Params
 
-from thalweg.core import InputError
+from thalweg.core import InputError, column, table_kind, write_table
 from thalweg.settings.sections import Filters, Lidar
 from thalweg.workflow import job_arguments, run_job
 from thalweg.workflow.job import openblas
@@ -54,6 +58,31 @@ def test_keywords_come_from_the_rule(tmp_path: Path) -> None:
         "result": tmp_path / "out.txt",
         "factor": 2,
     }
+
+
+def test_files_become_what_a_keyword_asks_for(tmp_path: Path) -> None:
+    """Tables whose names are words, JSON, facts beside a table, what may be missing, lists of any length."""
+
+    def main(
+        *,
+        table: pd.DataFrame,
+        facts: Mapping[str, Any],
+        beside: Mapping[str, Any],
+        truth: pd.DataFrame | None,
+        more: Mapping[str, Path] | Sequence[Path],
+    ) -> None: ...
+
+    (tmp_path / "a.csv").write_text("point,x\n007,1.5\n")
+    (tmp_path / "a.json").write_text('{"n": 3}')
+    kind = table_kind("numbers", 1, [column("x", pa.float64(), "m", "a number")])
+    write_table(tmp_path / "a.parquet", pd.DataFrame({"x": [1.0]}), kind, {"most": 2})
+    files = {"table": "a.csv", "facts": "a.json", "beside": "a.parquet"}
+    given = {name: str(tmp_path / file) for name, file in files.items()} | {"truth": [], "more": ["b", "c"]}
+    job = SimpleNamespace(output={}, input=given, params={}, threads=1, rule="x")
+    found = job_arguments(main, job)
+    assert found["table"].to_dict("records") == [{"point": "007", "x": 1.5}]
+    assert (found["facts"], found["beside"]["most"], found["truth"]) == ({"n": 3}, 2, None)
+    assert found["more"] == [Path("b"), Path("c")]
 
 
 def test_a_keyword_without_counterpart_is_named(tmp_path: Path) -> None:

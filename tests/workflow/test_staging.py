@@ -16,7 +16,7 @@ import pytest
 from snakemake.iocontainers import InputFiles, Log, OutputFiles, Params
 
 from thalweg.core import InputError
-from thalweg.workflow import provenance, run_job
+from thalweg.workflow import run_job
 from thalweg.workflow.staging import SCRATCH, Staging
 
 FINAL = ("table.csv", "deep/cloud.laz", "pictures")
@@ -284,99 +284,6 @@ def test_what_a_dead_job_left_goes(tmp_path: Path) -> None:
     run_job(several, Job(tmp_path))
     assert found(tmp_path) == whole("new")
     assert left_over(tmp_path) == []
-
-
-# ---------------------------------------------------------------- what folders of results share
-
-
-@pytest.fixture
-def shared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., int]:
-    """Run the job of these tests in a folder, with a cache; how often it had to work."""
-    monkeypatch.setenv(provenance.CACHE, str(tmp_path / "cache"))
-    monkeypatch.setattr(provenance, "SHARED", {"several"})
-    monkeypatch.chdir(tmp_path)
-
-    def run(name: str, version: str = "new", number: str = "21", threads: int = 1) -> int:
-        calls = []
-
-        def counted(
-            *, number: Path, table: Path, cloud: Path, pictures: Path, version: str, folder: str
-        ) -> None:
-            calls.append(1)
-            several(
-                number=number, table=table, cloud=cloud, pictures=pictures, version=version, folder=folder
-            )
-
-        (tmp_path / name).mkdir(exist_ok=True)
-        monkeypatch.chdir(tmp_path / name)
-        job = Job(Path(), version)
-        job.threads = threads
-        Path("in.txt").write_text(number)
-        run_job(counted, job)
-        assert left_over(Path()) == []
-        return len(calls)
-
-    return run
-
-
-def test_results_are_shared_by_what_decides_them(tmp_path: Path, shared: Callable[..., int]) -> None:
-    assert shared("first") == 1
-    before = (tmp_path / "first/results/table.csv").stat().st_mtime_ns
-    assert shared("second") == 0
-    assert found(tmp_path / "second") == found(tmp_path / "first") == whole("new")
-    # Snakemake sets times: the other folder has files of its own
-    os.utime(tmp_path / "second/results/table.csv", (0, 0))
-    assert (tmp_path / "first/results/table.csv").stat().st_mtime_ns == before
-    record = json.loads((tmp_path / "second/results/table.csv.meta.json").read_text())
-    assert record["output"] == "results/table.csv"
-    assert record["from_cache"] in {p.name for p in (tmp_path / "cache/several").iterdir()}
-    # a parameter, an input, the number of threads
-    assert [shared("third", "old"), shared("third", number="22"), shared("third", threads=2)] == [1, 1, 1]
-    assert shared("third", "old") == 0
-    assert found(tmp_path / "third")["table.csv"].startswith("old")
-
-
-def test_a_cache_into_which_others_may_write_is_refused(tmp_path: Path, shared: Callable[..., int]) -> None:
-    (tmp_path / "cache").mkdir()
-    (tmp_path / "cache").chmod(0o777)
-    with pytest.raises(InputError, match=r"others may write into the folder THALWEG_CACHE.* \(chmod go-w\)"):
-        shared("first")
-    assert list((tmp_path / "cache").iterdir()) == []
-    (tmp_path / "cache").chmod(0o755)
-    assert [shared("first"), shared("second")] == [1, 0]
-
-
-def test_a_flipped_byte_in_the_cache_is_told_and_made_again(
-    tmp_path: Path, shared: Callable[..., int], caplog: pytest.LogCaptureFixture
-) -> None:
-    shared("first")
-    (picture,) = tmp_path.glob("cache/several/*/2/1.png")
-    picture.unlink()
-    picture.write_text("new 23")
-    assert shared("second") == 1
-    assert "damaged, and made again" in caplog.text
-    assert found(tmp_path / "second") == whole("new")
-    assert shared("third") == 0
-
-
-def test_other_rules_and_a_cache_that_cannot_be_written_change_nothing(
-    tmp_path: Path,
-    shared: Callable[..., int],
-    monkeypatch: pytest.MonkeyPatch,
-    caplog: pytest.LogCaptureFixture,
-) -> None:
-    (tmp_path / "cache").write_text("a file in its place")
-    assert [shared("first"), shared("second")] == [1, 1]
-    assert caplog.text.count("this run goes on without") == 2
-    (tmp_path / "cache").unlink()
-    monkeypatch.setattr(provenance, "SHARED", {"other"})
-    assert [shared("third"), shared("fourth")] == [1, 1]
-    assert not (tmp_path / "cache").exists()
-
-
-def test_rules_that_are_shared_exist(repository: Path) -> None:
-    text = "".join(path.read_text() for path in (repository / "workflow/rules").glob("*.smk"))
-    assert {name for name in provenance.SHARED if f"rule {name}:" not in text} == set()
 
 
 # ---------------------------------------------------------------- the same through Snakemake

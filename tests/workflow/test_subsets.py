@@ -94,7 +94,7 @@ def test_soundings_in_the_world(yacht, record_property) -> None:
 def test_the_front_page_links_all(yacht) -> None:
     folder = yacht.root / "results" / "mulde_2026"
     text = (folder / "index.html").read_text()
-    for name in ("sounding_lines", "survey_map", "trajectory", "streams_in_time", "sounding_errors"):
+    for name in ("sounding_lines", "survey_map", "trajectory", "streams_in_time"):
         assert f'href="figures/{name}.png"' in text
         assert (folder / "figures" / f"{name}.png").is_file()
     assert 'href="bathymetry/soundings.csv"' in text

@@ -53,7 +53,6 @@ OF_CHAINS = {"compare_chains", "plot_chain_histograms", "plot_chains_by_range", 
 
 OF_BED = {
     "plot_sounding_lines",
-    "plot_sounding_errors",
     "plot_bed_map",
     "plot_bed_sections",
     "plot_bed_left_out",
@@ -70,9 +69,6 @@ OF_IMAGES = {
     "plot_colour_check",
 }
 """Pictures of the images and of what they give."""
-
-OF_PANORAMAS = {"plot_panorama"}
-"""Pictures of the panoramas."""
 
 OF_RIG = {"plot_rig_residuals", "plot_rig_field"}
 """Pictures of the calibration of the rig, which rests on no survey."""
@@ -319,7 +315,7 @@ def test_an_edit_reruns_exactly_the_rules_that_use_it(tiny_house) -> None:
         "plot_reference_view",
     }
     pictures = of_streams | of_clouds | OF_DISTANCES | OF_IMAGES | OF_BED
-    pictures |= {"plot_chain_histograms", "plot_chains_by_range"} | OF_PANORAMAS | OF_RIG
+    pictures |= {"plot_chain_histograms", "plot_chains_by_range"} | OF_RIG
     undo = edited(tiny_house, "figures/style.py", "\n_edited = 1\n")
     assert planned(tiny_house) == pictures | {
         "accuracy_page",
@@ -381,7 +377,7 @@ def test_an_edit_reruns_exactly_the_rules_that_use_it(tiny_house) -> None:
         "compare_dtm_with_truth",
         "bathymetry_page",
     }
-    clouds = of_clouds | OF_DISTANCES | OF_CHAINS | OF_IMAGES | OF_PANORAMAS | OF_BED | after_fusion
+    clouds = of_clouds | OF_DISTANCES | OF_CHAINS | OF_IMAGES | OF_BED | after_fusion
     assert planned(tiny_house) == after_trajectory | after_prediction | clouds
     undo()
     undo_comment()

@@ -271,7 +271,6 @@ rule calibrate_board:
         images=raw("board_images"),
         scans=raw("board_scans"),
         camera=raw("board_camera"),
-        observations=raw("board_observations"),
     output:
         camera_lidar="results/{campaign}/calibration/board_camera_lidar.yaml",
         table="results/{campaign}/calibration/board_poses.csv",

@@ -147,9 +147,9 @@ def identity(*keys):
     return of(CampaignFiles.identity, *keys)
 
 
-def calls(function):
-    """Params where the script is call.py: ``module:function`` that does the work, and its version."""
-    return {"code": code_version("call", function), "call": function}
+def calls(function, script="call"):
+    """Params where the script is call.py or page.py: ``module:function`` that does the work, and its version."""
+    return {"code": code_version(script, function), "call": function}
 
 
 def raw(stream):

@@ -17,10 +17,10 @@ PAGES = {
     },
     "accuracy_page": {
         "shows": "Everything that was found out about the accuracy of a cloud, on one page.",
-        "calls": "thalweg.figures.accuracy.page:write_accuracy_page",
+        "calls": "thalweg.figures.accuracy.page:accuracy_page",
         "page": f"{RESULTS}/accuracy/index.html",
         "inputs": {
-            "comparison": f"{RESULTS}/accuracy/cloud_to_mesh.parquet",
+            "facts": f"{RESULTS}/accuracy/cloud_to_mesh.parquet",
             "statistics": f"{RESULTS}/accuracy/statistics.csv",
             "by_range": f"{RESULTS}/accuracy/by_range.csv",
             "registration": f"{RESULTS}/accuracy/registration.json",
@@ -33,7 +33,7 @@ PAGES = {
     },
     "photographs_page": {
         "shows": "Photographs without a boat: places, check points, lens, what has no pose.",
-        "calls": "thalweg.figures.images.photographs:write_orientation_page",
+        "calls": "thalweg.figures.images.photographs:orientation_page",
         "page": f"{RESULTS}/photographs/index.html",
         "inputs": {
             "facts": f"{RESULTS}/photographs/orientation.json",
@@ -45,7 +45,7 @@ PAGES = {
     },
     "finished_photographs_page": {
         "shows": "Photographs that another program has oriented: places, check points, what has no pose.",
-        "calls": "thalweg.figures.images.photographs:write_finished_page",
+        "calls": "thalweg.figures.images.photographs:finished_page",
         "page": f"{RESULTS}/photographs/finished.html",
         "inputs": {
             "facts": f"{RESULTS}/photographs/finished.json",
@@ -57,7 +57,7 @@ PAGES = {
     },
     "fixed_camera_page": {
         "shows": "A camera that stays: its place from picture to picture.",
-        "calls": "thalweg.figures.images.fixed_camera:write_fixed_camera_page",
+        "calls": "thalweg.figures.images.fixed_camera:fixed_camera_page",
         "page": f"{RESULTS}/orientation/fixed_camera.html",
         "inputs": {
             "facts": f"{RESULTS}/orientation/fixed_camera.json",
@@ -68,7 +68,7 @@ PAGES = {
     },
     "cloud_page": {
         "shows": "A finished cloud beside a reference: distances, statistics, registration.",
-        "calls": "thalweg.figures.accuracy.cloud:write_cloud_page",
+        "calls": "thalweg.figures.accuracy.cloud:cloud_page",
         "page": f"{RESULTS}/accuracy/cloud.html",
         "inputs": {
             "facts": f"{RESULTS}/accuracy/cloud.json",
@@ -134,7 +134,7 @@ PAGES = {
     },
     "bed_strip_page": {
         "shows": "A strip of the bed under the boat on one page (T 3.2).",
-        "calls": "thalweg.lightsheet.figures.page:write_strip_page",
+        "calls": "thalweg.lightsheet.figures.page:strip_page",
         "page": f"{RESULTS}/triangulation/strip/index.html",
         "inputs": {
             "counts": f"{RESULTS}/triangulation/strip/counts.json",
@@ -144,7 +144,7 @@ PAGES = {
     },
     "bathymetry_page": {
         "shows": "The riverbed: how deep, how sure, and what that rests on.",
-        "calls": "thalweg.figures.bathymetry.page:write_bed_page",
+        "calls": "thalweg.figures.bathymetry.page:bed_page",
         "page": f"{RESULTS}/bathymetry/index.html",
         "inputs": {
             "facts": f"{RESULTS}/bathymetry/soundings.json",
@@ -210,11 +210,11 @@ for name, entry in PAGES.items():
             runtime=minutes(10),
         params:
             **entry["params"],
-            **calls(entry["calls"]),
+            **calls(entry["calls"], "page"),
             twin=of(CampaignFiles.is_twin),
             title=section("campaign", "title"),
         script:
-            "../scripts/call.py"
+            "../scripts/page.py"
 
 
 rule survey_report:

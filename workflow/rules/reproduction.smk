@@ -27,9 +27,6 @@ rule budget_tables:
         budget_page="results/reproduction/error_budgets.md",
         verdicts_text="results/reproduction/error_budgets.txt",
         tables=expand("results/reproduction/budgets/{name}.csv", name=BUDGETS),
-        latex_tables=expand("results/reproduction/budgets/{name}.tex", name=BUDGETS),
-        assumptions="results/reproduction/assumptions.csv",
-        solutions="results/reproduction/geometry.csv",
     log:
         "logs/reproduction/budget_tables.log",
     benchmark:

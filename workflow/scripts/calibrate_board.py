@@ -11,11 +11,9 @@ from thalweg.calibration import (
     Checkerboard,
     board_calibration,
     calibrate_board,
-    calibrate_board_poses,
     pose_table,
     read_board_poses,
     read_camera,
-    read_observations,
 )
 from thalweg.calibration.camera_lidar import nominal_orientation
 from thalweg.core.calibration import write_calibration
@@ -29,7 +27,6 @@ def main(
     images: list[Path],
     scans: list[Path],
     camera: list[Path],
-    observations: list[Path],
     camera_lidar: Path,
     table: Path,
     campaign: dict[str, Any],
@@ -40,17 +37,6 @@ def main(
     settings: dict[str, Any],
 ) -> None:
     run = str(campaign["id"])
-    if observations:
-        seen = read_observations(observations[0])
-        found = calibrate_board_poses(*seen)
-        n = len(seen[0].middle_m)
-        write_calibration(camera_lidar, board_calibration(found.T_ccs_scs, run, observations=n))
-        table.write_text(
-            "boards,rms_middle_mm,sigma_middle_mm,sigma_normal_deg\n"
-            f"{n},{1e3 * found.rms_middle_m:.3f},{1e3 * found.sigma_middle_m:.3f},"
-            f"{np.rad2deg(found.sigma_normal_rad):.4f}\n"
-        )
-        return
     options = LidarOptions(**lidar_options)
     poses, lost = read_board_poses(images, scans, Checkerboard(**board), read_camera(camera[0]), options)
     result = calibrate_board(poses, nominal_orientation(mounts), lidar_accuracy, BoardSettings(**settings))

@@ -23,7 +23,7 @@ def main(
     told = TrackOptions(**options, smrmsg=tuple(smrmsg), frame=LocalFrame(**campaign["origin"]))
     log = read_poses(ins, "sbet" if source == "sbet" else "ins", told)
     write_table(states, log.states, INS_STATE)
-    write_table(depths, DEPTH.empty_table().to_pandas() if log.depths is None else log.depths, DEPTH)
+    write_table(depths, log.depths, DEPTH)
     log.report.stream = "ins"
     log.report.write(integrity)
 

@@ -1,4 +1,4 @@
-"""Trajectories by INS, camera and all sensors together: what each of them makes of one survey (T 3.1.4).
+"""Trajectories by INS, camera, all sensors and lidar strips: what each of them makes of one survey (T 3.1.4).
 
 The clouds of all chains went through the same rules: the same filters, the same reference, the same outlier
 rule. Their numbers stand side by side here, and beside them those that were published. The published ones
@@ -19,7 +19,7 @@ from thalweg.accuracy.comparison_tables import ALL, AS_MEASURED, WITHOUT_OUTLIER
 from thalweg.accuracy.statistics import describe_errors
 from thalweg.core import AnyArray, ArrayB, ArrayF, InputError, Trajectory, root_mean_square
 
-CHAINS: Final = ("ins", "camera", "fused")
+CHAINS: Final = ("ins", "camera", "fused", "strips")
 """Chains in the order in which they are shown; a campaign may have some of them."""
 SHOTS: Final = "shots of the lidar"
 TRAJECTORY: Final = "trajectory"

@@ -19,7 +19,6 @@ from typing import Final
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
-from scipy.stats import chi2
 
 from thalweg.core import (
     SHIFT,
@@ -312,46 +311,6 @@ def rmse_mm(budget: Budget) -> float:
             "a budget without a survey", where=budget.name, expected="`survey` with `from_m` and `to_m`"
         )
     return root_mean_square(totals_mm(budget, budget.survey.distances_m()))
-
-
-def ball_coverage(cov: ArrayF, radius: ArrayLike) -> ArrayF:
-    """Probability (n,) that a normal error of covariance ``cov`` (n, 3, 3) is within ``radius`` (n,).
-
-    In direction ``u`` of standardised errors the squared length is chi-square with three degrees of freedom
-    times ``u^T L u``, L the eigenvalues; the mean over all directions is taken by Gauss-Legendre nodes in the
-    height and equal steps around, to about 1e-6.
-    """
-    values = np.clip(np.linalg.eigvalsh(cov), 0.0, None)
-    height, weight = np.polynomial.legendre.leggauss(96)
-    around = (np.arange(96) + 0.5) * (2 * np.pi / 96)
-    ring = np.sqrt(1 - height**2)
-    squares = np.stack(
-        [
-            (ring[:, None] * np.cos(around)) ** 2,
-            (ring[:, None] * np.sin(around)) ** 2,
-            np.broadcast_to(height[:, None] ** 2, (96, 96)),
-        ]
-    )
-    spread = np.einsum("nk,kij->nij", values, squares)
-    inside = chi2.cdf(np.square(radius).reshape(-1, 1, 1) / np.maximum(spread, 1e-300), 3)
-    return np.asarray(np.einsum("nij,i->n", inside, weight / 2) / 96)
-
-
-def coverages(budget: Budget, distances_m: ArrayLike) -> pd.DataFrame:
-    """Shares of errors within k = 1, 2, 3 standard deviations (T 3.1.2 says 68, 95, 99.7 %).
-
-    Columns ``distance_m, k, one_component, ball_of_total``. The remark holds for each component. The 3D total
-    of P2 eq. 9 is the root of the summed variances: a ball of that radius holds another share, which depends
-    on the shape of the error: for k = 1 61 % if all directions are alike, 68 % if all lies along one line.
-    """
-    d = np.asarray(distances_m, dtype=np.float64)
-    cov = covariance(budget, d)
-    total = np.sqrt(np.einsum("nii->n", cov))
-    rows = []
-    for k in (1, 2, 3):
-        one = float(chi2.cdf(k**2, 1))
-        rows += [(at, k, one, float(p)) for at, p in zip(d, ball_coverage(cov, k * total), strict=True)]
-    return pd.DataFrame(rows, columns=["distance_m", "k", "one_component", "ball_of_total"])
 
 
 def _unit(normal: ArrayLike) -> ArrayF:

@@ -4,11 +4,9 @@ from .boards import (
     Checkerboard as Checkerboard,
     board_calibration as board_calibration,
     calibrate_board as calibrate_board,
-    calibrate_board_poses as calibrate_board_poses,
     find_corners as find_corners,
     pose_table as pose_table,
     read_board_poses as read_board_poses,
-    read_observations as read_observations,
 )
 from .boat import (
     EchoPlace as EchoPlace,

@@ -20,7 +20,6 @@ from typing import Any, Final
 
 import numpy as np
 import pandas as pd
-from numpy.typing import ArrayLike
 
 from thalweg.calibration.camera_lidar import CAPTURES, ORIENTATION
 from thalweg.calibration.markers import read_grey
@@ -38,8 +37,6 @@ from thalweg.core import (
     Rigid,
     UnobservableError,
     adjust,
-    beam_axes,
-    cross_matrix,
     exp_rotation,
     optional,
     plane_rates,
@@ -47,7 +44,6 @@ from thalweg.core import (
     rows_of,
 )
 from thalweg.core.calibration import Calibration, Source, pose_block
-from thalweg.core.geometry import nearest_rotation
 from thalweg.ingest import LidarOptions
 from thalweg.ingest.clouds import read_cloud
 from thalweg.ingest.registry import lidar_reader
@@ -73,11 +69,6 @@ _SPOT_M: Final = 0.003
 """Standard deviation of what the size of the spot and the cut of the board leave."""
 
 METHOD: Final = "relative orientation of camera and lidar from poses of a flat board"
-COLUMNS: Final = tuple(
-    f"{s}_{q}" for s in ("camera", "lidar") for q in ("x_m", "y_m", "z_m", "nx", "ny", "nz")
-)
-"""Of a table of measured boards: middle and normal, by the camera in ccs and by the lidar in scs."""
-
 _TRIES: Final = (
     (0.5, ""), (1.0, "NORMALIZE_IMAGE"), (0.7, ""), (0.35, "NORMALIZE_IMAGE"), (0.5, "EXHAUSTIVE"),
 )  # fmt: skip
@@ -88,10 +79,6 @@ Half the size takes a fifth of the time; corners are refined in the full picture
 _HALF_PX: Final = 0.5
 """OpenCV counts pixels from the centre of the first one."""
 LEAST_SIGMA_PX: Final = 0.1
-
-_ROUNDS: Final = 5
-_FIRST_SIGMAS: Final = (0.01, np.deg2rad(1.0))
-"""Of middles (m) and normals (rad) in each direction, to begin with."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -169,29 +156,6 @@ class BoardView:
     def normal(self) -> ArrayF:
         """(3,) in ccs, toward the camera."""
         return self.T_ccs_board.R[:, 2]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class BoardPoses:
-    """Boards as one sensor saw them: ``middle_m`` (n, 3) and ``normal`` (n, 3) toward the sensors."""
-
-    middle_m: ArrayF
-    normal: ArrayF
-
-    @classmethod
-    def of(cls, middle_m: ArrayLike, normal: ArrayLike) -> "BoardPoses":
-        """From any arrays; normals are made unit vectors.
-
-        Raises
-        ------
-        GeometryError : shapes that do not match.
-        """
-        c, n = np.asarray(middle_m, dtype=np.float64), np.asarray(normal, dtype=np.float64)
-        if c.ndim != 2 or c.shape[1] != 3 or n.shape != c.shape:
-            raise GeometryError(
-                f"middles {c.shape} and normals {n.shape} of boards", expected="(n, 3) and (n, 3)"
-            )
-        return cls(middle_m=c, normal=n / np.linalg.norm(n, axis=1, keepdims=True))
 
 
 # ---------------------------------------------------------------- adjustment
@@ -710,23 +674,6 @@ def read_board_poses(
     return poses, pd.DataFrame(lost, columns=["pose", "used", "reason"])
 
 
-def read_observations(path: Path) -> tuple[BoardPoses, BoardPoses]:
-    """Boards that another program measured: a CSV table with the columns `COLUMNS`; camera's and lidar's.
-
-    Raises
-    ------
-    InputError : the file is missing or lacks columns.
-    """
-    if not path.is_file():
-        raise InputError("file not found", expected="a table of boards (CSV)", where=path)
-    table = pd.read_csv(path)
-    missing = [name for name in COLUMNS if name not in table]
-    if missing:
-        raise InputError(f"columns missing: {', '.join(missing)}", expected=", ".join(COLUMNS), where=path)
-    values = table[list(COLUMNS)].to_numpy(np.float64)
-    return BoardPoses.of(values[:, :3], values[:, 3:6]), BoardPoses.of(values[:, 6:9], values[:, 9:])
-
-
 def board_calibration(
     T_ccs_scs: Rigid, run: str, *, observations: int, sigma0: float = float("nan")
 ) -> Calibration:
@@ -831,89 +778,3 @@ def board_view(name: str, corners_px: ArrayF, board: Checkerboard, camera: Camer
     T = final.x.with_cov(final.cov)
     half = np.array([board.width_m, board.height_m]) / 2
     return BoardView(name=name, T_ccs_board=T, half_m=half, rms_px=rms)
-
-
-# ---------------------------------------------------------------- boards that camera and lidar measured
-# before
-#
-# The form in which other programs keep their observations. Middles give the shift and, where they spread, the
-# rotation; normals give the rotation. The scatter of both is estimated from what is left over.
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PosesCalibration:
-    """Result: ``T_ccs_scs`` with covariance, standard deviations found, RMS distance of the middles."""
-
-    T_ccs_scs: Rigid
-    sigma_middle_m: float
-    sigma_normal_rad: float
-    rms_middle_m: float
-
-
-def calibrate_board_poses(camera: BoardPoses, lidar: BoardPoses) -> PosesCalibration:
-    """Relative orientation from boards seen by camera and lidar.
-
-    Parameters
-    ----------
-    camera, lidar : the same boards, in ccs and in scs.
-
-    Raises
-    ------
-    UnobservableError : the boards leave the orientation undetermined.
-    GeometryError : other numbers of boards, or fewer than three.
-    """
-    n = len(camera.middle_m)
-    if len(lidar.middle_m) != n or n < 3:
-        raise GeometryError(
-            f"{n} boards of the camera and {len(lidar.middle_m)} of the lidar",
-            expected="the same number, at least three",
-        )
-    sigma = np.array(_FIRST_SIGMAS)
-    T = _start(camera, lidar)
-    for _ in range(_ROUNDS):
-        adjusted = adjust(
-            _groups(camera, lidar, sigma),
-            T,
-            ORIENTATION,
-            update=Rigid.moved,
-            cure="Add boards at other places and with other tilts",
-        )
-        T = adjusted.x
-        found = np.array([adjusted.group_sigma0["middles"], adjusted.group_sigma0["normals"]])
-        sigma = sigma * np.maximum(found, 1e-3)
-        if np.all(np.abs(found - 1) < 0.01):
-            break
-    off = adjusted.residuals["middles"].reshape(-1, 3)
-    return PosesCalibration(
-        T_ccs_scs=T.with_cov(adjusted.cov),
-        sigma_middle_m=float(sigma[0]),
-        sigma_normal_rad=float(sigma[1]),
-        rms_middle_m=float(np.sqrt(np.mean(np.sum(off**2, axis=1)))),
-    )
-
-
-def _start(camera: BoardPoses, lidar: BoardPoses) -> Rigid:
-    """Closed form: rotation of normals and of middles about their mean (Kabsch 1976), then the shift."""
-    a, b = camera.middle_m - camera.middle_m.mean(axis=0), lidar.middle_m - lidar.middle_m.mean(axis=0)
-    R = nearest_rotation(np.vstack([a, camera.normal]).T @ np.vstack([b, lidar.normal]))
-    return Rigid(R=R, shift_m=camera.middle_m.mean(axis=0) - R @ lidar.middle_m.mean(axis=0))
-
-
-def _groups(camera: BoardPoses, lidar: BoardPoses, sigma: ArrayF) -> Sequence[Observations[Rigid]]:
-    n = len(camera.middle_m)
-    across = np.swapaxes(beam_axes(camera.normal)[:, :, 1:], 1, 2)
-
-    def middles(T: Rigid) -> Linear:
-        """Three differences a board."""
-        residual = T.apply(lidar.middle_m) - camera.middle_m
-        J = T.by_error(lidar.middle_m).reshape(-1, 6)
-        return Linear(residual=residual.ravel(), jacobian=J, cov=np.full(3 * n, sigma[0] ** 2))
-
-    def normals(T: Rigid) -> Linear:
-        """Two differences across the camera's normal."""
-        turned = lidar.normal @ T.R.T
-        J = np.concatenate([np.zeros((n, 2, 3)), -across @ cross_matrix(turned)], axis=2)
-        residual = np.einsum("nij,nj->ni", across, turned)
-        return Linear(residual=residual.ravel(), jacobian=J.reshape(-1, 6), cov=np.full(2 * n, sigma[1] ** 2))
-
-    return [Observations("middles", middles), Observations("normals", normals)]

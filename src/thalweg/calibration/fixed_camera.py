@@ -1,6 +1,6 @@
 """A camera that stays: its pose in each picture from control points, and its history."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final, Literal, Self
 
@@ -112,8 +112,6 @@ def resect_series(
         spare = sum(one.redundancy for one in found.values())
         squares = sum(one.sigma0**2 * one.redundancy for one in found.values())
         tests = [global_test(float(np.sqrt(squares / spare)), spare)] if spare > 0 else []
-    if interior == "fixed":
-        notes += _exactness(camera, found, known)
     factor = max((test.factor for test in tests), default=1.0)
     notes += [note for test in tests if (note := test.note("image or control points"))]
     exact = replace(field, cov=np.diag(np.full(field.points_pcs.size, _EXACT_M**2)))
@@ -206,24 +204,6 @@ def _lens_to_begin_with(
             cure="Estimate it with --interior free, or check points and marks",
         )
     return camera, False, []
-
-
-def _exactness(camera: Camera, found: Mapping[str, Resected], known: "_Known") -> list[str]:
-    """What it means for the first place that a focal length counts as exact."""
-    for image, one in found.items():
-        p = camera.parameters * np.where(np.arange(len(camera.parameters)) < 2, 1.01, 1.0)
-        try:
-            other = resect(
-                camera.with_parameters(p), known.tables[image], known.field, largest_sigma_m=np.inf
-            )
-        except GeometryError:
-            break
-        moved_m = float(np.linalg.norm(other.T_pcs_ccs.shift_m - one.T_pcs_ccs.shift_m))
-        return [
-            f"The interior orientation of {camera.name} counts as exact: a focal length that is 1 % longer "
-            f"would move the place of {image} by {moved_m:.2f} m, which no standard deviation holds"
-        ]
-    return []
 
 
 def _contradiction(camera: Camera, known: "_Known") -> str:

@@ -21,7 +21,6 @@ def add_budget_command(commands: Commands) -> None:
             "M,M,...",
             "other distances than the file's, in metres",
         ),
-        ("--published", Path, "CSV", "published values, to compare with"),
         ("--csv", Path, "OUT", "write all influences to a CSV file"),
     )
 
@@ -29,19 +28,15 @@ def add_budget_command(commands: Commands) -> None:
 def _budget(options: argparse.Namespace) -> int:
     from dataclasses import replace
 
-    from thalweg.budgets import long_table, marks_line, read_budget, read_published, text_lines
+    from thalweg.budgets import long_table, read_budget, text_lines
 
     budget = read_budget(options.file)
     if options.distances:
         budget = replace(budget, distances_m=options.distances)
-    published = read_published(options.published) if options.published else None
-    table = long_table(budget, published)
-    print("\n".join(text_lines(budget, published)))
-    if published is not None and table["verdict"].astype(bool).any():
-        print(f"  printed, computed, verdict: {marks_line(table['verdict'])}")
+    print("\n".join(text_lines(budget)))
     if options.csv:
         if not options.csv.parent.is_dir():
             raise InputError("no such folder", where=options.csv.parent, cure="Make it, or name another file")
-        table.to_csv(options.csv, index=False)
+        long_table(budget).to_csv(options.csv, index=False)
         print(f"Wrote {options.csv}")
     return 0

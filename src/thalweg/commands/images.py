@@ -10,6 +10,8 @@ from thalweg.commands.options import FOLDER, INTERIORS, PHOTOGRAPHS, XYZ
 from thalweg.commands.parser import REQUIRED, Commands, say_notes
 from thalweg.commands.remedies import OF_CONTROL, of_a_campaign
 
+_EXAMPLES = 24
+"""Photographs that the overview of masks shows."""
 _MASKED: Final = ("water", "sky", "hull", "moved")
 _SIGMA_GPS_BEGIN_S: Final = 0.5
 """Presumed: positions of a GoPro come some tenths of a second late, by how much no document states."""
@@ -186,7 +188,7 @@ def _orient(options: argparse.Namespace) -> int:
 
 def _masks(options: argparse.Namespace) -> int:
     from thalweg.figures import save
-    from thalweg.figures.images import mask_sheet
+    from thalweg.figures.images import example_names, mask_view, read_examples
     from thalweg.images.masks import known_camera, make_masks_of_cameras
     from thalweg.ingest.photos import find_images, named_images
     from thalweg.settings.sections import MaskSettings
@@ -197,10 +199,9 @@ def _masks(options: argparse.Namespace) -> int:
         settings = MaskSettings(least_mirror=options.least_mirror)
     found = make_masks_of_cameras(images, options.out, settings, known_camera([], [], {}))
     found.to_csv(options.out / "masks.csv", index=False)
-    save(
-        mask_sheet(images, options.out, found, title=f"Masks of {options.out.resolve().name}"),
-        options.out / "overview.png",
-    )
+    pictures = read_examples(example_names(found, _EXAMPLES), images, options.out)
+    title = f"Masks of {options.out.resolve().name}"
+    save(mask_view(found, pictures, title=title), options.out / "overview.png")
     for row in found.to_dict("records"):
         shares = [f"{part} {100 * row[f'{part}_share']:.1f} %" for part in ("usable", *_MASKED)]
         untold = f"cannot tell: {row['cannot_tell']}" if row["cannot_tell"] else ""

@@ -344,22 +344,23 @@ def _place(files: dict[str, list[Path]]) -> tuple[float, float, float] | None:
     Rounded to about a metre: it is a name for a place and no measurement.
     """
     from thalweg.core import LocalFrame
+    from thalweg.ingest import PoseLog
     from thalweg.ingest.registry import load_recording
 
     for stream in ("pos", "sbet", "ins", "rover", "depth"):
         for path in files.get(stream, []):
             try:
-                recording = load_recording([path])
+                log = load_recording([path])
             except ThalwegError:  # such as an SBET, whose week is not known yet
                 continue
-            tables, header = recording.tables, recording.report.details.get("approx_ecef_m")
+            header = log.report.details.get("approx_ecef_m")
             if isinstance(header, list) and any(header):  # raw observations: the place in their header
                 anywhere = LocalFrame(lat_deg=0.0, lon_deg=0.0, h_ell_m=0.0)
                 lat, lon, h = (float(x[0]) for x in anywhere.to_geodetic(anywhere.from_ecef([header])))
                 return round(lat, 5), round(lon, 5), round(h)
-            table = tables.get("positions", tables.get("states"))
-            placed = None if table is None else table.dropna(subset=["lat_deg", "lon_deg"])
-            if placed is not None and len(placed):
+            table = log.states if isinstance(log, PoseLog) and log.positions.empty else log.positions
+            placed = table.dropna(subset=["lat_deg", "lon_deg"])
+            if len(placed):
                 lat, lon, h = (float(placed[name].median()) for name in ("lat_deg", "lon_deg", "h_ell_m"))
                 return round(lat, 5), round(lon, 5), round(h) if h == h else 0.0
     return None

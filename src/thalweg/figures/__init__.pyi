@@ -14,6 +14,7 @@ from .page import (
     JUDGED as JUDGED,
     Finding as Finding,
     Page as Page,
+    Pictures as Pictures,
     front_page_of as front_page_of,
 )
 from .style import (
@@ -36,12 +37,14 @@ from .style import (
     TWIN_MARK as TWIN_MARK,
     VERMILION as VERMILION,
     WIDTH_MM as WIDTH_MM,
+    colour_bar as colour_bar,
     count as count,
     drawn as drawn,
     empty_figure as empty_figure,
     fix_styles as fix_styles,
     leave_out as leave_out,
     legend_below as legend_below,
+    mark_twin as mark_twin,
     marks_in_free_corners as marks_in_free_corners,
     new_figure as new_figure,
     north_arrow as north_arrow,
@@ -55,5 +58,7 @@ from .style import (
     round_length as round_length,
     save as save,
     scale_bar as scale_bar,
+    show_plan as show_plan,
     styled as styled,
+    titled as titled,
 )

@@ -29,6 +29,7 @@ from thalweg.core import (
     ThalwegError,
     column,
     frame_of,
+    read_json,
     table_kind,
     utc_text_from_gps,
     write_table,
@@ -36,7 +37,7 @@ from thalweg.core import (
 from thalweg.core.calibration import read_calibration
 from thalweg.figures.page import Page
 from thalweg.figures.products import MAP_FILES, OWN_FILES, products_of
-from thalweg.figures.style import BLUE, GREY, VERMILION, new_figure, styled
+from thalweg.figures.style import BLUE, GREY, VERMILION, mark_twin, new_figure, styled
 
 # ---------------------------------------------------------------- catalogue
 
@@ -158,7 +159,10 @@ def read_entry(folder: Path) -> Entry:
         remarks.append(f"made by several versions: {', '.join(versions)}")
     if missing:
         remarks.append(f"without provenance: {', '.join(missing)}")
-    west, south, east, north = _box(outline)
+    (west, south), (east, north) = (
+        np.full((2, 2), np.nan) if outline is None else np.stack([outline.min(axis=0), outline.max(axis=0)])
+    ).tolist()
+    checksums = "".join(f"{name} {each.get('file:checksum', '')}\n" for name, each in sorted(assets.items()))
     chains = [
         name
         for name, file in (
@@ -183,7 +187,7 @@ def read_entry(folder: Path) -> Entry:
         "versions": " ".join(versions),
         "files": files,
         "bytes": size,
-        "sha256": _joint(assets),
+        "sha256": hashlib.sha256(checksums.encode()).hexdigest(),
         "remarks": "; ".join(remarks),
     }
     pages = {href: words for href, words in PAGES.items() if (folder / href).is_file()}
@@ -216,14 +220,6 @@ def _track(path: Path) -> tuple[ArrayF, tuple[str, str]]:
         corners = points[[int(np.argmin(t)), int(np.argmax(t))]]
     lat, lon, _ = LocalFrame(**origin).to_geodetic(corners)
     return np.column_stack([lon, lat]), (utc_text_from_gps(t.min(), 0), utc_text_from_gps(t.max(), 0))
-
-
-def _box(outline: ArrayF | None) -> tuple[float, float, float, float]:
-    if outline is None:
-        return (np.nan,) * 4
-    west, south = outline.min(axis=0)
-    east, north = outline.max(axis=0)
-    return float(west), float(south), float(east), float(north)
 
 
 def _provenance(
@@ -260,11 +256,6 @@ def _provenance(
     return assets, sorted(versions), files, size, libraries, missing
 
 
-def _joint(assets: dict[str, dict[str, Any]]) -> str:
-    text = "".join(f"{name} {each.get('file:checksum', '')}\n" for name, each in sorted(assets.items()))
-    return hashlib.sha256(text.encode()).hexdigest()
-
-
 def _sigmas(summary: Path) -> dict[str, float]:
     if not summary.is_file():
         return dict.fromkeys(SIGMAS, np.nan)
@@ -288,7 +279,7 @@ def calibrated(folder: Path) -> tuple[dict[str, Rigid], list[Found]]:
         poses = {block.name: calibration.pose(block.name) for block in calibration.blocks if block.is_pose}
     clocks = [folder / "timing" / "camera_clock.json", folder / "orientation" / "image_times.json"]
     for file in [each for each in clocks if each.is_file()][:1]:
-        clock = json.loads(file.read_text(encoding="utf-8"))
+        clock = read_json(file)
         if clock.get("offset_s") is not None and clock.get("sigma_offset_s"):
             found.append(("camera clock offset", "s", clock["offset_s"], clock["sigma_offset_s"]))
         run = clock.get("run") or clock
@@ -297,7 +288,7 @@ def calibrated(folder: Path) -> tuple[dict[str, Rigid], list[Found]]:
     for words, name in (("field", "calibration/camera.json"), ("cones", "calibration/camera_lidar.json")):
         file = folder / name
         if file.is_file():
-            found += _sigma0(words, json.loads(file.read_text(encoding="utf-8")))
+            found += _sigma0(words, read_json(file))
     return poses, found
 
 
@@ -359,8 +350,9 @@ def control_table(entries: Sequence[Entry]) -> pd.DataFrame:
         x, sigma = group["value"].to_numpy(float), group["sigma"].to_numpy(float)
         mean[group.index], sigma_mean[group.index] = _means_of_others(x, sigma)
     z = (table["value"] - mean) / np.hypot(table["sigma"].astype(float), sigma_mean)
-    columns = {"mean_others": mean, "sigma_mean_others": sigma_mean, "standardised": z}
-    found = table.assign(**columns, outside=np.abs(z) > LIMIT)
+    found = table.assign(
+        mean_others=mean, sigma_mean_others=sigma_mean, standardised=z, outside=np.abs(z) > LIMIT
+    )
     return frame_of(CONTROL, {name: found[name] for name in CONTROL.names})
 
 
@@ -393,7 +385,9 @@ def control_chart(table: pd.DataFrame) -> Figure:
     )
     names_mm = 12 + 1.4 * max(map(len, campaigns), default=0)
     height_mm = 18 + names_mm + 13 * max(len(quantities), 1)
-    figure = new_figure(height_mm, title, twin=bool(shown["twin"].any()))
+    figure = new_figure(height_mm, title)
+    if shown["twin"].any():
+        mark_twin(figure)
     if shown.empty:
         figure.text(0.5, 0.5, "fewer than two campaigns found the same quantity", ha="center")
         return figure

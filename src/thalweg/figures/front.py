@@ -11,6 +11,7 @@ from urllib.parse import quote
 
 import numpy as np
 import pandas as pd
+from pyproj import CRS
 
 from thalweg.accuracy import AS_MEASURED, WITHOUT_OUTLIERS, number_text, verdict_of, verdict_of_ratio
 from thalweg.core import InputError, Trajectory, final_path, read_json, utc_text_from_gps
@@ -23,6 +24,8 @@ from thalweg.ingest import IntegrityReport
 
 _HEADING: Final = re.compile(r"<h1>(.*?)</h1>\s*(?:<p>(.*?)</p>)?", re.DOTALL)
 _SENTENCE: Final = re.compile(r"^.*?[.!?](?=\s|$)", re.DOTALL)
+_SOURCE: Final = re.compile(r" \((?:T|P\d)\b[^)]*\)")
+"""Where the thesis and its papers show the same: each figure says so itself."""
 _HEAD_LETTERS: Final = 60_000
 """Of a page its head is read, no pictures."""
 MOST_FINDINGS: Final = 7
@@ -99,6 +102,7 @@ def write_front_page(
     pages.sort(key=lambda each: VIEWERS.index(each) if each in VIEWERS else len(VIEWERS))
     heads = {address: _head(files[address], title) for address in pages}
     drawn = {path: figures.get(path.stem, ("Others", path.stem)) for path in pictures}
+    drawn = {path: (group, _SOURCE.sub("", shows)) for path, (group, shows) in drawn.items()}
     reasons = {path: why for path in pictures if (why := note_of(path)) is not None}
     shown = [path for path in pictures if path not in reasons]
     chain = next((name for name in CHAINS if f"orientation/{name}.parquet" in files), "")
@@ -113,7 +117,7 @@ def write_front_page(
     if lead := next((path for stem in LEADS for path in shown if path.stem == stem), None):
         shown.remove(lead)
         address = next((each for each in pages if each in VIEWERS), at(lead))
-        words = f"Open: {heads[address][0]}" if address in heads else "Enlarge"
+        words = f"Open in three dimensions: {heads[address][0].lower()}" if address in heads else "Enlarge"
         glance = (
             f'<a class="lead" href="{quote(address)}"><img alt="{escape(drawn[lead][1])}" '
             f'src="{small_picture(lead, LEAD_PX, 80)}"><span>{escape(words)}</span></a>\n{glance}'
@@ -172,7 +176,9 @@ def _facts(track: Trajectory | None, crs: str) -> Iterator[str]:
         lat, lon = track.frame.lat_deg, track.frame.lon_deg
         yield f"{abs(lat):.4f}°{'N' if lat >= 0 else 'S'}, {abs(lon):.4f}°{'E' if lon >= 0 else 'W'}"
     if crs != "local":
-        yield f"map {crs}"
+        system = CRS.from_user_input(crs)
+        heights = f"heights {system.sub_crs_list[1].name}" if system.is_compound else "ellipsoidal heights"
+        yield f"map {crs}, {heights}"
 
 
 def _of_survey(files: Mapping[str, Path], track: Trajectory, chain: str) -> Iterator[Finding]:
@@ -193,13 +199,16 @@ def _of_survey(files: Mapping[str, Path], track: Trajectory, chain: str) -> Iter
             value = table.set_index("quantity")["value"]
             told = verdict_of_ratio(value["ratio"], value["ratio_low95"], value["ratio_high95"])
             evidence = compared if folder else "accuracy/index.html"
-            judged = told.replace("too few data", "too few data to judge")
-            foretold = f"{centimetres(value['predicted_rmse'])} predicted: {judged}"
+            judged = told.replace("too few data", "too few independent values to judge")
+            foretold = f"predicted {centimetres(value['predicted_rmse'])}: {judged}"
             yield Finding(f"cloud to reference, RMSE, {of}", centimetres(value["rmse"]), foretold, evidence)
     if validation := files.get("bathymetry/validation.json"):
         bed = read_json(validation)
         told = verdict_of(bed["normalised_square"], bed["lines"])
-        words = "too few lines to judge" if told == "too few data" else f"standard deviations: {told}"
+        words = (
+            "too few lines to judge its sigma" if told == "too few data" else f"standard deviations: {told}"
+        )
+        words = f"mean error {centimetres(bed['bias_m'], sign=True)}; {words}"
         quantity = f"riverbed, RMSE of {bed['lines']} left-out lines"
         yield Finding(quantity, centimetres(bed["rmse_m"]), words, "bathymetry/index.html")
     if counts := files.get("lidar/counts.csv"):
@@ -209,13 +218,13 @@ def _of_survey(files: Mapping[str, Path], track: Trajectory, chain: str) -> Iter
         )
     if soundings := files.get("bathymetry/soundings.json"):
         pings = read_json(soundings)
-        used = f"of {count(pings['pings'])} pings"
+        used = f"of {count(pings['pings'])} pings; the others with their reasons"
         bed_page = "bathymetry/index.html" if validation else "figures/sounding_lines.png"
         yield Finding("soundings used", count(pings["by_reason"][""]), used, bed_page)
     reports = [IntegrityReport.read(path) for name, path in files.items() if name.endswith(".integrity.json")]
     clean = sum(report.clean for report in reports)
     words = "nothing lost or damaged" if clean == len(reports) else "of the others something is missing"
-    yield Finding("complete recordings", f"{clean} of {len(reports)}", words, "#recordings")
+    yield Finding("inputs without loss", f"{clean} of {len(reports)}", words, "#recordings")
 
 
 def _stream(path: Path) -> str:

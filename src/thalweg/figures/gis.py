@@ -118,7 +118,8 @@ class _Project:
             table = geopandas.read_file(path, layer=name)
             if not len(table):
                 continue
-            self._grow(table.total_bounds)
+            if name != "contours":
+                self._view(table.total_bounds)
             source = f"{self._relative(path)}|layername={name}"
             if name in _LINES:
                 title, colour, width_mm, dash = _LINES[name]
@@ -145,7 +146,7 @@ class _Project:
 
         with laspy.open(path) as cloud:
             low, high = np.array(cloud.header.mins), np.array(cloud.header.maxs)
-        self._grow(np.concatenate([low[:2], high[:2]]))
+        self._view(np.concatenate([low[:2], high[:2]]), only_first=True)
         layer = self._add(
             "cloud", "Point cloud, height in m", "point-cloud", "copc", self._relative(path), shown=shown
         )
@@ -160,7 +161,7 @@ class _Project:
         kind = path.stem.partition("_")[0]
         pair = path.stem.partition("_")[2].replace("-", " to ")
         with open_raster(path) as file:
-            self._grow(np.array(file.bounds))
+            self._view(np.array(file.bounds), only_first=True)
             bands = {name: (i, file.read(i)) for i, name in enumerate(file.descriptions, start=1)}
         for of, name, title, colours, opacity in _BANDS:
             if of != kind:
@@ -180,6 +181,12 @@ class _Project:
             renderer = self._add_grid("hillshade", "Terrain, shaded relief", path)
             renderer.attrib.update(type="hillshade", band="1", azimuth="315", angle="45", zfactor="1")
             renderer.set("multidirection", "1")
+            # shaded between the cells' centres: each cell by itself would be flat with a dark rim
+            pipe = self.layers[-1].find("pipe")
+            assert pipe is not None
+            smooth = {"enabled": "true", "zoomedInResamplingMethod": "bilinear", "maxOversampling": "2"}
+            SubElement(SubElement(pipe, "provider"), "resampling", smooth)
+            _text(pipe, "resamplingStage", "provider")
 
     def _add_grid(self, name: str, title: str, path: Path, *, shown: bool = True) -> Element:
         """A layer of a raster; its renderer, still without a type."""
@@ -211,8 +218,10 @@ class _Project:
         if authority := flat.to_authority(min_confidence=100):
             _text(system, "authid", ":".join(authority))
 
-    def _grow(self, bounds: ArrayF) -> None:
-        """The first view shows all layers."""
+    def _view(self, bounds: ArrayF, *, only_first: bool = False) -> None:
+        """The first view shows soundings, track, banks and sections; rasters only without those."""
+        if only_first and np.isfinite(self.bounds).all():
+            return
         self.bounds[:2] = np.minimum(self.bounds[:2], bounds[:2])
         self.bounds[2:] = np.maximum(self.bounds[2:], bounds[2:])
         self.extent.clear()

@@ -41,6 +41,10 @@ SOURCES: Final = {
 """Short names of sources, as docs/bibliography.md has them: a page that uses one explains it at its end."""
 
 
+Pictures = Mapping[str, Figure | Path] | Sequence[Path]
+"""Figures or PNG files by name; of files alone the stem is the name."""
+
+
 @dataclass(frozen=True, slots=True)
 class Finding:
     """One of the few numbers at the head of a page.
@@ -69,6 +73,7 @@ TONES: Final = {
     "too pessimistic": "unsure",
     "too few data": "unsure",
     "to judge": "unsure",
+    "to judge its sigma": "unsure",
 }
 """Colours of verdicts by their last words; the verdict itself is beside the colour."""
 _LONG_VALUE: Final = 20
@@ -170,18 +175,20 @@ class Page:
         )
         return self
 
-    def figures(self, pictures: Mapping[str, Figure | Path], captions: Mapping[str, str]) -> Self:
-        """Add pictures with their captions, both by name; see `figure`."""
-        for name, picture in pictures.items():
-            self.figure(picture, captions[name])
-        return self
-
-    def pictures(self, files: Sequence[Path], captions: Mapping[str, str] | None, first: str = "") -> Self:
-        """Add a section of PNG files with their captions by stem; the one named ``first`` stands first."""
-        if files:
-            self.section("Figures")
-        for file in sorted(files, key=lambda each: each.stem != first):
-            self.figure(file, (captions or {}).get(file.stem, file.stem.replace("_", " ")))
+    def pictures(
+        self,
+        pictures: Pictures,
+        captions: Mapping[str, str] | None,
+        first: str = "",
+        *,
+        section: str = "Figures",
+    ) -> Self:
+        """Add a section of pictures with their captions, if there are any; the one named ``first`` leads."""
+        named = pictures if isinstance(pictures, Mapping) else {path.stem: path for path in pictures}
+        if named:
+            self.section(section)
+        for name in sorted(named, key=lambda each: each != first):
+            self.figure(named[name], (captions or {}).get(name, name.replace("_", " ")))
         return self
 
     def links(self, targets: Mapping[str, tuple[str, str]]) -> Self:
@@ -204,13 +211,18 @@ class Page:
         return self
 
     def table(
-        self, frame: pd.DataFrame, caption: str, units: Mapping[str, str] | None = None, *, digits: int = 4
+        self,
+        rows: pd.DataFrame | Sequence[Mapping[str, Any]],
+        caption: str,
+        units: Mapping[str, str] | None = None,
+        *,
+        digits: int = 4,
     ) -> Self:
         """Add a table; one without a row is a sentence.
 
         Parameters
         ----------
-        frame : its columns become the columns; the index is not shown.
+        rows : a table, whose index is not shown, or rows by the words of the columns.
         caption : stands above the table.
         units : column -> unit, shown in its head.
         digits : significant digits of numbers with a fraction: of the largest in a column with a unit, whose
@@ -220,6 +232,7 @@ class Page:
         ------
         InputError : a unit for a column that is not there.
         """
+        frame = pd.DataFrame(rows)
         unknown = [name for name in units or {} if name not in frame.columns]
         if unknown:
             raise InputError(f"units for columns {unknown}", expected=f"columns {list(frame.columns)}")
@@ -233,7 +246,7 @@ class Page:
             for name in frame.columns
         )
         decimals = {name: _decimals(frame[name], digits) for name in units or {} if numeric[name]}
-        rows = "".join(
+        lines = "".join(
             "<tr>"
             + "".join(
                 f"<td{_class(numeric[name])}>{escape(_cell(value, digits, decimals.get(str(name))))}</td>"
@@ -245,7 +258,7 @@ class Page:
         self._body.append(
             f'<div class="scroll" tabindex="0" role="region" aria-label="{escape(caption)}">'
             f"<table><caption>{escape(caption)}</caption>\n"
-            f"<thead><tr>{head}</tr></thead>\n<tbody>\n{rows}</tbody></table></div>"
+            f"<thead><tr>{head}</tr></thead>\n<tbody>\n{lines}</tbody></table></div>"
         )
         return self
 

@@ -9,15 +9,17 @@ from functools import cache, wraps
 from inspect import signature
 from io import BytesIO
 from pathlib import Path
-from typing import Any, Final, ParamSpec
+from typing import Any, Final
 
 import matplotlib as mpl
 import numpy as np
 import pandas as pd
 from cmcrameri import cm
 from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
 from matplotlib.collections import QuadMesh
-from matplotlib.colors import Colormap, ListedColormap, LogNorm
+from matplotlib.colorbar import Colorbar
+from matplotlib.colors import Colormap, ListedColormap, LogNorm, Normalize
 from matplotlib.figure import Figure
 from matplotlib.patches import StepPatch
 from matplotlib.patheffects import withStroke
@@ -26,7 +28,7 @@ from matplotlib.ticker import LogFormatter, ScalarFormatter
 from numpy.typing import ArrayLike
 from PIL import Image, UnidentifiedImageError
 
-from thalweg.core import ArrayF, ArrayU8, CoverageError, InputError, read_parquet
+from thalweg.core import AnyArray, ArrayF, ArrayU8, CoverageError, InputError, read_parquet
 
 
 def read_picture(path: Path) -> ArrayU8:
@@ -107,8 +109,6 @@ _MM_PER_HANDLE: Final = 9.0
 _GLUE: Final = "\N{FIGURE SPACE}"
 """Stands for a space at which a title is not broken."""
 
-P = ParamSpec("P")
-
 
 @cache
 def _parameters() -> Any:
@@ -118,16 +118,17 @@ def _parameters() -> Any:
     return {key: value for key, value in settings.items() if not key.startswith("backend")}
 
 
-def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
+def styled(draw: Callable[..., Figure]) -> Callable[..., Figure]:
     """Decorator: draw a figure in the style of the project, and leave out what has nothing to show.
 
     A panel without a value gives way to a sentence, a statistic of no value to a dash; a dollar sign in a
     name or title begins no formula. Where nothing is left, or the function fails on an input that holds no
-    value, `CoverageError` is raised with the reason.
+    value, `CoverageError` is raised with the reason. Each of these functions takes ``twin`` besides its own
+    keywords: true if the digital twin made the data, which the figure then says.
     """
 
     @wraps(draw)
-    def inner(*args: P.args, **kwargs: P.kwargs) -> Figure:
+    def inner(*args: Any, twin: bool = False, **kwargs: Any) -> Figure:
         """Draw under the house's style, whatever the user's own is."""
         with (
             mpl.rc_context(_parameters()),
@@ -139,12 +140,14 @@ def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
             _leave_out_empty_panels(figure)
             if args or kwargs:  # formulas of our own stand in sketches without inputs alone
                 _take_no_text_for_a_formula(figure)
+            if twin:
+                mark_twin(figure)
             return figure
 
     return inner
 
 
-def drawn(draw: Callable[P, Figure], /, *args: P.args, **kwargs: P.kwargs) -> Figure:
+def drawn(draw: Callable[..., Figure], /, *args: Any, **kwargs: Any) -> Figure:
     """What a function draws of its inputs; where it fails on one that holds no value, that is the reason.
 
     Raises
@@ -197,6 +200,34 @@ def _lacking(name: str, value: Any) -> Iterator[str]:
         for part, inner in parts.items():
             if not isinstance(inner, list | tuple | Mapping):  # notes, say, may be none
                 yield from _lacking(f"{part} of {name}", inner)
+
+
+def colour_bar(
+    axes: Axes | Sequence[Axes] | AnyArray,
+    colours: Colormap,
+    norm: Normalize | tuple[float, float],
+    label: str,
+    **look: Any,
+) -> Colorbar:
+    """The scale of colours of one panel or several.
+
+    Parameters
+    ----------
+    axes : panels that share it; it takes its room from them.
+    colours, norm : map, and what it spans; or the values at both ends.
+    label : words, with the unit.
+    look : further keywords of `Figure.colorbar`.
+    """
+    panels = list(np.ravel(np.array(axes, dtype=object)))
+    scale = ScalarMappable(norm if isinstance(norm, Normalize) else Normalize(*norm), colours)
+    return panels[0].figure.colorbar(scale, ax=panels, label=label, **look)
+
+
+def show_plan(ax: Axes, low: ArrayF, high: ArrayF) -> None:
+    """Make a panel a map of what lies between two corners (east, north), at equal scales."""
+    ax.set(
+        aspect="equal", xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="east / m", ylabel="north / m"
+    )
 
 
 def leave_out(ax: Axes, reason: str) -> None:
@@ -353,14 +384,13 @@ _LETTERS_ACROSS: Final = 100
 """Letters of a sentence in the place of a panel that is as wide as the page."""
 
 
-def new_figure(height_mm: float, title: str, *, twin: bool) -> Figure:
-    """An empty figure of the project's width with its title and, for a twin, the mark in the corner.
+def new_figure(height_mm: float, title: str) -> Figure:
+    """An empty figure of the project's width with its title.
 
     Parameters
     ----------
     height_mm : height of the page part; each further line of the title adds to it.
-    title : bold first lines; states n. Broken where it would run into the mark.
-    twin : true if the data were made by the digital twin.
+    title : bold first lines; states n. Broken where it would run into the mark of the twin.
     """
     # "n = 5 points" stays together.
     together = re.sub(r"n = [\d\u00a0]+(?: \w+)?|\d s\b", lambda found: found[0].replace(" ", _GLUE), title)
@@ -368,10 +398,30 @@ def new_figure(height_mm: float, title: str, *, twin: bool) -> Figure:
     height_mm += _MM_PER_TITLE_LINE * (len(lines) - 1)
     figure = Figure(figsize=(WIDTH_MM / MM_PER_INCH, height_mm / MM_PER_INCH), layout="constrained")
     figure.suptitle("\n".join(lines).replace(_GLUE, " "), x=0.012, ha="left")
-    if twin:
+    return figure
+
+
+def titled(function: Callable[..., Any], arguments: Mapping[str, Any]) -> dict[str, Any]:
+    """Arguments whose ``title`` begins with that which the function has by default.
+
+    Examples
+    --------
+    >>> def tree(title="Tree"): ...
+    >>> titled(tree, {"title": "an oak"})
+    {'title': 'Tree: an oak'}
+    """
+    own = signature(function).parameters.get("title")
+    if own is None or own.default is own.empty or "title" not in arguments:
+        return dict(arguments)
+    return {**arguments, "title": f"{own.default}: {arguments['title']}"}
+
+
+def mark_twin(figure: Figure) -> None:
+    """Say in the corner that the digital twin made the data."""
+    with mpl.rc_context(_parameters()):
         figure.text(
             0.988,
-            1.0 - 1.8 / height_mm,
+            1.0 - 1.8 / (MM_PER_INCH * figure.get_figheight()),
             TWIN_MARK,
             ha="right",
             va="top",
@@ -381,7 +431,6 @@ def new_figure(height_mm: float, title: str, *, twin: bool) -> Figure:
             gid="twin-mark",
             bbox={"boxstyle": "round,pad=0.25", "facecolor": PURPLE, "edgecolor": "none"},
         )
-    return figure
 
 
 def save(
@@ -423,16 +472,15 @@ def save(
 
 
 @styled
-def empty_figure(title: str, reason: str, *, twin: bool) -> Figure:
+def empty_figure(title: str, reason: str) -> Figure:
     """A picture that has nothing to show and says why.
 
     Parameters
     ----------
     title : what it would have shown.
     reason : in words.
-    twin : true if the data were made by the digital twin.
     """
-    figure = new_figure(45.0, title, twin=twin)
+    figure = new_figure(45.0, title)
     lines = textwrap.wrap(f"Nothing to show: {reason}", TITLE_LETTERS)
     figure.text(0.012, 0.55, "\n".join(lines), va="center", fontsize=9)
     return figure
@@ -440,8 +488,6 @@ def empty_figure(title: str, reason: str, *, twin: bool) -> Figure:
 
 def note_of(path: Path) -> str | None:
     """The comment inside a PNG; None if it holds none."""
-    from PIL import Image
-
     with Image.open(path) as picture:
         return picture.info.get("Comment")
 
@@ -658,7 +704,6 @@ def raster_maps(
     panels: Sequence[tuple[ArrayF, str, Mapping[str, Any]]],
     *,
     crs: str,
-    twin: bool,
     margin_m: float = 0.0,
 ) -> tuple[Figure, list[Axes]]:
     """Maps of rasters of one extent, below each other, or side by side where they are tall.
@@ -669,7 +714,6 @@ def raster_maps(
     extent_m : west, east, south, north.
     panels : values (rows, columns), words of the colour bar, and keywords of ``imshow``.
     crs : name of the map.
-    twin : true if the digital twin made the data.
     margin_m : free border about the rasters.
     """
     west, east, south, north = np.asarray(extent_m) + margin_m * np.array([-1.0, 1.0, -1.0, 1.0])
@@ -677,7 +721,7 @@ def raster_maps(
     columns = 1 if ratio < 1 / 1.3 else 3 if n == 3 else 2
     rows = -(-n // columns)
     height_mm = rows * (145.0 * ratio / columns + 21.0) + 10.0
-    figure = new_figure(float(np.clip(height_mm, 80.0, 115.0 * rows)), title, twin=twin)
+    figure = new_figure(float(np.clip(height_mm, 80.0, 115.0 * rows)), title)
     axes = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
     for ax, (values, words, look) in zip(axes.ravel(), panels, strict=False):
         drawn = ax.imshow(values, extent=extent_m, interpolation="nearest", zorder=1, **look)

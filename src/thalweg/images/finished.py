@@ -10,8 +10,8 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from thalweg.calibration import interior_calibration, read_camera
-from thalweg.core import ArrayF, Camera, InputError, LocalFrame, exp_rotation
+from thalweg.calibration import collinear, interior_calibration, read_camera
+from thalweg.core import ArrayF, Camera, InputError, LocalFrame
 from thalweg.core.calibration import Source, write_calibration
 from thalweg.images.bundle import CONTROL_COLUMNS
 from thalweg.images.control import frame_about, matched_marks, read_all_control_points, read_all_marks
@@ -23,8 +23,6 @@ from thalweg.settings.sections import LOCAL, ControlSettings, FinishedOrientatio
 
 log = logging.getLogger("thalweg")
 _AXES: Final = ("east", "north", "up")
-_STEP: Final = (1e-3, 1e-3, 1e-3, 1e-6, 1e-6, 1e-6)
-"""Metres and radians of difference quotients: 1e-3 m is far below what a pixel shows."""
 _ITERATIONS: Final = 8
 _SUSPECT: Final = 16.27
 """Chi-square of three degrees of freedom that one of 1000 exceeds."""
@@ -54,40 +52,23 @@ def intersect_point(
     ------
     InputError : rays that are parallel.
     """
-    R, C = poses.R_wcs_ccs[list(rows)], poses.centre_wcs_m[list(rows)]
-    rays = np.einsum("nij,nj->ni", R, camera.rays(xy_px))
-    point = nearest_to_rays(C, rays)
+    rows = np.asarray(rows)
+    R, C, first = poses.R_wcs_ccs[rows], poses.centre_wcs_m[rows], np.zeros(len(rows), np.int64)
+    point = nearest_to_rays(C, np.einsum("nij,nj->ni", R, camera.rays(xy_px)))
     if not np.isfinite(point).all():
         raise InputError("rays that do not meet", expected="images from different places")
-    weights = []
-    for k, row in enumerate(rows):
-        rates = np.column_stack(
-            [_predicted(camera, point, R[k], C[k], i, s) / s for i, s in enumerate(_STEP)]
-        )
-        cov = sigma_px[k] ** 2 * np.eye(2) + rates @ poses.cov_pose_wcs[row] @ rates.T
-        weights.append(np.linalg.inv(cov))
-    W = np.stack(weights)
+    seen = collinear([camera], first, R, C, np.tile(point, (len(rows), 1)))
+    cov = seen.by_pose @ poses.cov_pose_wcs[rows] @ np.swapaxes(seen.by_pose, 1, 2)
+    W = np.linalg.inv(cov + np.square(sigma_px)[:, None, None] * np.eye(2))
     for _ in range(_ITERATIONS):
-        ccs = np.einsum("nji,nj->ni", R, point - C)
-        predicted, by_point, _ = camera.project_with_derivatives(ccs)
-        J = np.einsum("nij,nkj->nik", by_point, R)
+        J = seen.by_point
         N = np.einsum("nji,njk,nkl->il", J, W, J)
-        step = np.linalg.solve(N, np.einsum("nji,njk,nk->i", J, W, xy_px - predicted))
+        step = np.linalg.solve(N, np.einsum("nji,njk,nk->i", J, W, xy_px - seen.xy_px))
         point = point + step
+        seen = collinear([camera], first, R, C, np.tile(point, (len(rows), 1)))
         if np.linalg.norm(step) < 1e-6:
             break
-    residual = xy_px - camera.project(np.einsum("nji,nj->ni", R, point - C)).reshape(-1, 2)
-    return point, np.asarray(np.linalg.inv(N)), residual
-
-
-def _predicted(camera: Camera, point: ArrayF, R: ArrayF, C: ArrayF, i: int, step: float) -> ArrayF:
-    """Change (2,) of a mark with a small change of component ``i`` of the pose."""
-    change = np.zeros(6)
-    change[i] = step
-    moved = exp_rotation(change[None, 3:])[0] @ R
-    ccs = np.stack([R.T @ (point - C), moved.T @ (point - C - change[:3])])
-    first, second = camera.project(ccs).reshape(2, 2)
-    return np.asarray(second - first)
+    return point, np.asarray(np.linalg.inv(N)), xy_px - seen.xy_px
 
 
 def judge_points(

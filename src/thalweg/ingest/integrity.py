@@ -2,6 +2,7 @@
 
 import json
 import math
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal, Self, SupportsInt
@@ -56,6 +57,11 @@ class IntegrityReport:
     details: dict[str, Any] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
 
+    @classmethod
+    def of(cls, stream: str, words: str, files: Iterable[Path], **more: Any) -> Self:
+        """A report of files whose format is ``words``."""
+        return cls(stream=stream, format=words, files=[str(path) for path in files], **more)
+
     @property
     def clean(self) -> bool:
         """True if nothing is missing or damaged."""
@@ -69,6 +75,11 @@ class IntegrityReport:
     def count(self, what: str, n: int = 1) -> None:
         """Count something read."""
         self.counts[what] = self.counts.get(what, 0) + int(n)
+
+    def count_some(self, what: str, n: SupportsInt) -> None:
+        """Count something read; none of it leaves no entry."""
+        if int(n):
+            self.count(what, int(n))
 
     def note(self, sentence: str) -> None:
         """Add a sentence for people, once."""

@@ -88,7 +88,7 @@ def describe_metadata(path: Path) -> IntegrityReport:
     info = data.get("sensor_info", data) if isinstance(data, dict) else None
     if not isinstance(info, dict):
         raise InputError("JSON without keys", expected="metadata of an Ouster", where=path)
-    report = IntegrityReport(stream="lidar", format="Ouster metadata", files=[str(path)])
+    report = IntegrityReport.of("lidar", "Ouster metadata", [path])
     report.model = str(info.get("prod_line", ""))
     report.note("The metadata of a lidar: name it in logs.lidar beside its captures.")
     return report
@@ -171,10 +171,10 @@ class OusterReader:
         UnsupportedError : the SDK is not installed.
         """
         info, errors = self._info(), Counter[str]()
-        report = IntegrityReport(
-            stream="lidar",
-            format=f"Ouster packets ({info.format.udp_profile_lidar}), ouster-sdk",
-            files=[str(path) for path in self.files],
+        report = IntegrityReport.of(
+            "lidar",
+            f"Ouster packets ({info.format.udp_profile_lidar}), ouster-sdk",
+            self.files,
             model=str(info.prod_line),
             bytes_read=sum(path.stat().st_size for path in self.files if path.is_file()),
         )
@@ -336,8 +336,7 @@ class _Tally:
         report.count("frames", self.frames)
         report.count("columns", self.columns)
         for name, words in (("RANGE", "first_returns"), ("RANGE2", "second_returns")):
-            if name in self.returns:
-                report.count(words, self.returns[name])
+            report.count_some(words, self.returns[name])
         lost = sum(part.size for part in self.missing)
         report.lose("columns_lost", lost)
         offset = float(clock.gps_minus_device_s[0])

@@ -7,7 +7,7 @@
 import datetime as dt
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, Literal, Protocol, Self
 
@@ -26,6 +26,7 @@ from thalweg.core import (
     require_file,
 )
 from thalweg.ingest.integrity import IntegrityReport
+from thalweg.ingest.schemas import DEPTH, GNSS_POSITION
 from thalweg.settings.sections import Lidar
 
 HEAD_BYTES: Final = 65_536
@@ -292,7 +293,7 @@ class TrackOptions:
 
 @dataclass(slots=True, kw_only=True)
 class PositionLog:
-    """``positions`` of table kind ``gnss_position``, ``depths`` of kind ``depth`` if the log holds any.
+    """``positions`` of table kind ``gnss_position`` and ``depths`` of kind ``depth``, empty if it has none.
 
     ``soundings`` are depths of a log that tells the place of each: columns ``latitude``, ``longitude``,
     ``depth_m`` and, where it is known, ``time``. ``triggers_gps_s`` (n,) are when a camera was triggered, NaN
@@ -301,15 +302,13 @@ class PositionLog:
     """
 
     report: IntegrityReport
-    positions: pd.DataFrame | None = None
-    depths: pd.DataFrame | None = None
-    soundings: pd.DataFrame | None = None
+    positions: pd.DataFrame = field(default_factory=lambda: GNSS_POSITION.empty_table().to_pandas())
+    depths: pd.DataFrame = field(default_factory=lambda: DEPTH.empty_table().to_pandas())
+    soundings: pd.DataFrame = field(default_factory=pd.DataFrame)
     triggers_gps_s: ArrayF | None = None
 
     def __post_init__(self) -> None:
         """Leave positions out that are none."""
-        if self.positions is None:
-            return
         lat, lon = (self.positions[name].to_numpy(np.float64) for name in ("lat_deg", "lon_deg"))
         none = (np.abs(lat) > 90.0) | (np.abs(lon) > 360.0) | ((lat == 0.0) & (lon == 0.0))
         if n := int(np.count_nonzero(none)):

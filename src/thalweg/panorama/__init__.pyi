@@ -2,7 +2,6 @@ from .compose import Composed as Composed, compose as compose
 from .files import (
     PANORAMAS as PANORAMAS,
     cloud_ranges as cloud_ranges,
-    dependence_on_cloud as dependence_on_cloud,
     fill_gaps as fill_gaps,
     make_panoramas as make_panoramas,
     reading_that_fits as reading_that_fits,

@@ -3,9 +3,7 @@
 **Are both views read as they were when the rig was calibrated?** Along the seam both lenses see the same
 things. If one of the views is turned by half against the other they do not; that is found from the pictures
 alone. The seam cannot tell views that are changed over, mirrored or upside down *both*: the same pixels still
-lie on each other there, elsewhere. The cloud can: intensities of its points and the brightness of the pixels
-that show them depend on each other only if these are the same things (`thalweg.lidar.check_colours` tests
-clock and mount in the same way).
+lie on each other there, elsewhere.
 
 **How far things are** in each direction is taken from the lidar cloud around. The cloud lies close in lines
 and has gaps between them. Each cell holds the range of its nearest point; gaps up to a width take the nearest
@@ -15,7 +13,7 @@ of the surface, mirrored clouds came out twice as far off at the seam.
 """
 
 import logging
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from fractions import Fraction
 from functools import partial
@@ -124,23 +122,8 @@ def inverse_range(ranges_m: AnyArray, width_px: int) -> AnyArray:
 TURNED: Final = "turned by half against each other"
 _AGREES: Final = 0.6
 _CLEARLY: Final = 0.3
-_CELLS: Final = 12
-"""Surroundings whose means are taken out: this part of the width of a view."""
 
 Views = Mapping[str, ArrayU8]
-READINGS: Final[Mapping[str, Callable[[Views], Views]]] = {
-    "": lambda views: views,
-    "changed over": lambda views: {"front": views["back"], "back": views["front"]},
-    "mirrored": lambda views: {name: np.ascontiguousarray(view[:, ::-1]) for name, view in views.items()},
-    "upside down": lambda views: {
-        name: np.ascontiguousarray(view[::-1, ::-1]) for name, view in views.items()
-    },
-    "changed over and upside down": lambda views: {
-        "front": np.ascontiguousarray(views["back"][::-1, ::-1]),
-        "back": np.ascontiguousarray(views["front"][::-1, ::-1]),
-    },
-}
-"""Ways in which both views may be read; the first is the right one."""
 
 
 def reading_that_fits(views: Views, rig: Rig) -> str:
@@ -159,56 +142,6 @@ def reading_that_fits(views: Views, rig: Rig) -> str:
         score.append(float(np.nan_to_num(correlation(grey[0], grey[1], usable), nan=-1.0)))
     other = max(score[1:])
     return TURNED if other > _AGREES and other > score[0] + _CLEARLY else ""
-
-
-def dependence_on_cloud(
-    views: Views, rig: Rig, front: Rigid, xyz_wcs_m: ArrayF, intensity: ArrayF
-) -> dict[str, float]:
-    """How much intensities of the cloud and brightness depend on each other, by reading of the views.
-
-    Parameters
-    ----------
-    views : upright views (h, w, 3) by lens.
-    rig : calibrated.
-    front : ``T_wcs_front`` of the exposure.
-    xyz_wcs_m, intensity : (n, 3), (n,) points around it; in each direction the nearest counts.
-
-    Returns
-    -------
-    ``-n/2 ln(1 - r^2)`` in nats by key of `READINGS`, of both lenses together.
-    """
-    found = dict.fromkeys(READINGS, 0.0)
-    read = {reading: turn(views) for reading, turn in READINGS.items()}
-    for name, place in rig.T_front_lens.items():
-        pose, camera = front @ place, rig.cameras[name]
-        local = (xyz_wcs_m - pose.shift_m) @ pose.R
-        r = np.linalg.norm(local, axis=1)
-        widest = np.cos(np.deg2rad(rig.settings.field_of_view_deg / 2 - RIM_DEG))
-        seen = np.flatnonzero(local[:, 2] > widest * r)
-        # the nearest point of each cell of half a degree is not hidden
-        cell = pixels_of(local[seen], 720).astype(np.int64) @ np.array([1, 720])
-        order = np.argsort(r[seen], kind="stable")
-        first = order[np.unique(cell[order], return_index=True)[1]]
-        points = seen[first]
-        xy = camera.project(local[points])
-        inside = camera.inside(xy, 1.0)
-        points, pixel = points[inside], xy[inside].astype(np.int64)
-        if len(points) < 100:
-            continue
-        around = pixel // (camera.size_px[0] // _CELLS) @ np.array([1, 4 * _CELLS])
-        a = _about_means(intensity[points], around)
-        for reading, view in read.items():
-            grey = ndimage.uniform_filter(view[name].mean(axis=2), 3)
-            b = _about_means(grey[pixel[:, 1], pixel[:, 0]], around)
-            norm = float(np.sqrt((a @ a) * (b @ b)))
-            rho = float(a @ b) / norm if norm > 0 else 0.0
-            found[reading] += -0.5 * len(a) * float(np.log1p(-min(rho**2, 1 - 1e-9)))
-    return found
-
-
-def _about_means(values: AnyArray, group: AnyArray) -> ArrayF:
-    n = np.maximum(np.bincount(group), 1)
-    return np.asarray(values - (np.bincount(group, values) / n)[group])
 
 
 # ---------------------------------------------------------------- files
@@ -258,12 +191,7 @@ _GPANO: Final = """<?xpacket begin="\ufeff" id="W5M0MpCehiHzreSzNTczkc9d"?>
  GPano:CroppedAreaLeftPixels="0" GPano:CroppedAreaTopPixels="0"/>
 </rdf:RDF></x:xmpmeta><?xpacket end="w"?>"""
 _TESTED: Final = 5
-"""Exposures in which lenses that are changed over or mirrored are looked for."""
-_SAMPLE: Final = 200_000
-"""Points of the cloud whose intensities are compared with the views."""
-_CLEAR_TIMES: Final = 1.5
-_CLEAR_NATS: Final = 20.0
-"""Another reading is told if it explains so much more than the given one."""
+"""Exposures in which lenses that are turned against each other are looked for."""
 _GPS_IFD: Final = 0x8825
 
 
@@ -375,7 +303,7 @@ def make_panoramas(
     places = [_place(poses.pose(k), rig) for k in rows]
     maps = None
     if settings.mode == "depth":
-        maps, xyz, intensity = _range_maps(points, places, poses.frame, settings)
+        maps = _range_maps(points, places, poses.frame, settings)
         for k, near in zip(rows, maps, strict=True):
             if not np.isfinite(near).any():
                 log.warning(
@@ -384,15 +312,6 @@ def make_panoramas(
                     poses.images[k],
                     settings.reach_m,
                 )
-        told = dict.fromkeys(READINGS, 0.0)
-        for k in rows[:_TESTED]:
-            near = np.linalg.norm(xyz - poses.centre_wcs_m[k], axis=1) < settings.reach_m
-            views = read_views(files[poses.images[k]], rig.settings)
-            for reading, nats in dependence_on_cloud(
-                views, rig, poses.pose(k), xyz[near], intensity[near]
-            ).items():
-                told[reading] += nats
-        _tell_reading(told)
     found = []
     for i, k in enumerate(steps(rows, "panorama")):
         name = poses.images[k]
@@ -475,8 +394,8 @@ def _place(front: Rigid, rig: Rig) -> Rigid:
 
 def _range_maps(
     points: Path | None, places: Sequence[Rigid], frame: LocalFrame, settings: Panorama
-) -> tuple[list[AnyArray], ArrayF, ArrayF]:
-    """Least ranges around each place before gaps are filled; a sample of points and their intensities."""
+) -> list[AnyArray]:
+    """Least ranges around each place before gaps are filled."""
     assert points is not None
     header = laz_header(points)
     if header.frame != frame:
@@ -487,33 +406,13 @@ def _range_maps(
         )
     rows = max(2, round(180.0 / settings.cell_deg))
     maps = [np.full((rows, 2 * rows), np.inf) for _ in places]
-    every = max(1, header.n_points // _SAMPLE)
-    sample: list[tuple[ArrayF, ArrayF]] = []
     for chunk in iter_laz(points):
-        xyz = chunk["xyz_m"]
-        sample.append((xyz[::every].copy(), chunk["intensity"][::every].astype(np.float64)))
         for i, place in enumerate(places):
             seen = cloud_ranges(
-                xyz, place.shift_m, place.R, cell_deg=settings.cell_deg, reach_m=settings.reach_m
+                chunk["xyz_m"], place.shift_m, place.R, cell_deg=settings.cell_deg, reach_m=settings.reach_m
             )
             maps[i] = np.minimum(maps[i], seen)
-    if not sample:
-        return maps, np.zeros((0, 3)), np.zeros(0)
-    xyz, intensity = (np.concatenate(part) for part in zip(*sample, strict=True))
-    return maps, xyz, intensity
-
-
-def _tell_reading(told: Mapping[str, float]) -> None:
-    """Warn if the cloud fits the views better in another reading."""
-    best = max(told, key=lambda reading: told[reading])
-    if best and told[best] > _CLEAR_TIMES * told[""] + _CLEAR_NATS:
-        logging.getLogger("thalweg").warning(
-            "intensities of the cloud fit both views better if these are %s (%.0f nats, as they are %.0f): "
-            "check rig.front, rig.back, rig.mount and rig.clock",
-            best,
-            told[best],
-            told[""],
-        )
+    return maps
 
 
 def _inverse(

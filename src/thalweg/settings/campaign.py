@@ -206,7 +206,7 @@ class Campaign(Section):
         if self.twin is not None:
             return self.twin.field is not None
         given = self.logs.calibration if self.logs is not None else None
-        return given is not None and bool(given.field or given.board_images or given.board_observations)
+        return given is not None and bool(given.field or given.board_images)
 
     @property
     def is_basin(self) -> bool:

@@ -890,7 +890,7 @@ def _check_bed(parts: Parts) -> Iterator[Mistake]:
 
 def _check_source(parts: Parts, logs: Logs) -> Iterator[Mistake]:
     at_rest = logs.calibration
-    if (at_rest.field or at_rest.board_images or at_rest.board_observations) and not logs.lidar:
+    if (at_rest.field or at_rest.board_images) and not logs.lidar:
         return  # a calibration without a dynamic run needs no trajectory
     if parts.orientation is None or logs.light_sheet.given:
         return  # a sensor in a basin has no trajectory either

@@ -509,8 +509,7 @@ class CampaignFiles:
         return [self._result(f"calibration/{name}.csv") for name in names]
 
     def _calibration_outputs(self) -> list[str]:
-        board = self.logs("board_images") or self.logs("board_observations")
-        outputs = self._where(board, "calibration/board_camera_lidar.yaml")
+        outputs = self._where(self.logs("board_images"), "calibration/board_camera_lidar.yaml")
         outputs += self._where(self.has_rig_field(), "calibration/rig.yaml")
         if not self.logs("field"):
             return outputs
@@ -667,12 +666,15 @@ class CampaignFiles:
         return page + self._where(compared, "accuracy/by_strips/statistics.csv")
 
     def trajectories(self) -> list[str]:
-        """Trajectories by INS, camera and all sensors, in this order."""
-        return [self.trajectory(chain) for chain in _CHAINS]
+        """Trajectories by INS, camera and all sensors, in this order, then by strips if adjusted."""
+        return [self.trajectory(chain) for chain in self._compared().values()]
+
+    def _compared(self) -> Mapping[str, str]:
+        return _OF_FOLDER if self.adjusts_strips() else _CHAINS
 
     def of_chains(self, folder: str, name: str) -> list[str]:
-        """A result of the clouds by INS, camera and all sensors, in this order."""
-        return [self._result(f"{folder}/{part}{name}") for part in _CHAINS]
+        """A result of the clouds of these trajectories, in the same order."""
+        return [self._result(f"{folder}/{part}{name}") for part in self._compared()]
 
     def of_compared_chains(self, name: str) -> list[str]:
         """The same of their comparison with a reference; nothing where there is none."""
@@ -692,6 +694,8 @@ class CampaignFiles:
             "camera": (*oriented, "image_poses_timed.parquet", "trajectory_camera.parquet"),
             "fused": ("trajectory_fused.parquet",),
         }
+        if self.adjusts_strips():
+            names["strips"] = ("trajectory_strips.parquet",)
         steps = {chain: [self._result(f"orientation/{name}") for name in own] for chain, own in names.items()}
         scattered = [] if other else [*self.feature_parts(), *self.pair_parts()]
         return steps | {"camera": [*scattered, *steps["camera"]]}
@@ -1402,7 +1406,7 @@ class CampaignFiles:
         reports = [path for path in self.target("ingest") if path.endswith(".integrity.json")]
         beside = self.has_panoramas() and not self.is_by_rig()
         reports += self._where(beside, "ingest/rig.integrity.json")
-        fused = self.of_compared_chains("statistics.csv")[2:] if self.has_time_lapse() else []
+        fused = self.of_compared_chains("statistics.csv")[2:3] if self.has_time_lapse() else []
         facts = [*self.counts_of_points(), *self.sounding_facts()] if self._is_survey() else []
         others = [path for path in self.final_outputs() if path != self._result("index.html")]
         return list(dict.fromkeys([*others, *reports, *fused, *facts]))
@@ -1425,7 +1429,7 @@ class CampaignFiles:
                 return self._made()
             case "images" if self.has_time_lapse():
                 timed = self._where(True, "orientation/image_poses_timed.parquet")
-                return [self.oriented_images(), *timed, *self.trajectories()[1:]]
+                return [self.oriented_images(), *timed, self.trajectory("camera"), self.trajectory("fused")]
             case "images":
                 return []
         return [path for path in self.final_outputs() if path.startswith(self._result(f"{name}/"))]

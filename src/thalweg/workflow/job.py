@@ -2,6 +2,7 @@
 
 import ctypes
 import inspect
+import json
 import logging
 import os
 import random
@@ -10,24 +11,18 @@ import resource
 import sys
 import time
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import is_dataclass
 from pathlib import Path
-from types import TracebackType
-from typing import Any, get_args, get_origin, get_type_hints
+from types import TracebackType, UnionType
+from typing import Any, Union, get_args, get_origin, get_type_hints
 
-from thalweg.core import UNFINISHED, InputError, ThalwegError
+import pandas as pd
+import pyarrow.parquet as pq
+
+from thalweg.core import UNFINISHED, InputError, ThalwegError, read_json, read_parquet
 from thalweg.workflow.costs import costs_of, memory_now_mb
-from thalweg.workflow.provenance import (
-    META,
-    bring_provenance,
-    cache_entry,
-    origin,
-    put_into_cache,
-    refuse_damage,
-    take_from_cache,
-    write_provenance,
-)
+from thalweg.workflow.provenance import META, bring_provenance, origin, refuse_damage, write_provenance
 from thalweg.workflow.staging import refuse_changes, staged, state_of, work_in_scratch
 from thalweg.workflow.truth import truth_closed
 
@@ -43,11 +38,11 @@ def run_job(main: Callable[..., None], snakemake: Any) -> None:
     """Map a Snakemake job onto the keywords of ``main`` and run it.
 
     Each keyword of ``main`` is looked up by name among the job's outputs, inputs and params (in that order),
-    then ``threads`` and ``job``; files become `Path` (or ``list[Path]`` where the annotation says so), and
-    plain values the section of settings, the dataclass or the path that the annotation names. It sets up
+    then ``threads`` and ``job``; files become what the annotation asks for (see `_as_asked`), and plain
+    values the section of settings, the dataclass or the path that it names. It sets up
     the log file and an excepthook that writes the traceback there, limits threads, and on success writes
     ``<output>.meta.json``. ``main`` writes into a folder beside the outputs; they get their names when all
-    are whole (`staging`). Of some rules results come from a cache (`provenance.cache_entry`); a job whose
+    are whole (`staging`). A job whose
     files lie in node-local scratch works there (`staging.work_in_scratch`).
 
     Raises
@@ -73,12 +68,6 @@ def run_job(main: Callable[..., None], snakemake: Any) -> None:
         before = state_of(inputs)
         made_of = origin(rule=rule, inputs=inputs, params=params, code=code)
         refuse_damage(made_of["inputs"], rule)
-        entry = cache_entry(made_of, outputs, snakemake.threads)
-        if entry is not None and take_from_cache(entry, staging.places(), made_of):
-            refuse_changes(before, inputs, rule)
-            staging.commit(beside=[META])
-            bring_provenance(outputs, results)
-            return
         start, cpu_start_s, memory_start_mb = time.perf_counter(), _cpu_s(), memory_now_mb()
         main(**job_arguments(main, staging.job(snakemake)))
         wall_s, cpu_s = time.perf_counter() - start, _cpu_s() - cpu_start_s
@@ -89,8 +78,6 @@ def run_job(main: Callable[..., None], snakemake: Any) -> None:
             staging.places(), made_of, threads=snakemake.threads, wall_s=wall_s, cpu_s=cpu_s, costs=costs
         )
         refuse_changes(before, inputs, rule)
-        if entry is not None:
-            put_into_cache(entry, staging.places())
         staging.commit(beside=[META])
         bring_provenance(outputs, results)
     log.info("rule %s done in %.1f s", rule, wall_s)
@@ -111,7 +98,7 @@ def job_arguments(main: Callable[..., None], snakemake: Any) -> dict[str, Any]:
         hint = hints.get(name, Any)
         for i, source in enumerate(sources):
             if name in source:
-                arguments[name] = _as_paths(source[name], hint) if i < 2 else _as_section(source[name], hint)
+                arguments[name] = _as_asked(source[name], hint) if i < 2 else _as_section(source[name], hint)
                 break
         else:
             if name == "threads":
@@ -127,17 +114,41 @@ def job_arguments(main: Callable[..., None], snakemake: Any) -> dict[str, Any]:
     return arguments
 
 
-def _as_paths(value: Any, hint: Any) -> Any:
-    if get_origin(hint) is list and get_args(hint) == (Path,):
-        return [Path(value)] if isinstance(value, str) else [Path(v) for v in value]
-    if isinstance(value, str):
-        return Path(value)
-    if len(value) != 1:
+def _as_asked(value: Any, hint: Any) -> Any:
+    """A file or several as paths or as what they hold: tables, JSON, or classes that ``read`` a path.
+
+    A list has all files in their order; what may be None is none where there is no file.
+    """
+    paths = [Path(value)] if isinstance(value, str) else [Path(each) for each in value]
+    options = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
+    for option in options:
+        if get_origin(option) in (list, Sequence):
+            return [_held(path, get_args(option)[0]) for path in paths]
+    if not paths and type(None) in options:
+        return None
+    if len(paths) != 1:
         raise InputError(
-            f"{len(value)} files for a script that takes one: {[str(v) for v in value]}",
+            f"{len(paths)} files for a script that takes one: {[str(each) for each in paths]}",
             expected="one file, or a script whose parameter is list[Path]",
         )
-    return Path(value[0])
+    return _held(paths[0], options[0])
+
+
+_NAMES = ("point", "image")
+"""Columns of words, also where all of them look like numbers."""
+
+
+def _held(path: Path, kind: Any) -> Any:
+    """A path, or what the file holds where another kind is asked for."""
+    if kind is pd.DataFrame:
+        if path.suffix == ".parquet":
+            return read_parquet(path)
+        return pd.read_csv(path, dtype=dict.fromkeys(_NAMES, str))
+    if get_origin(kind) is Mapping:
+        if path.suffix == ".parquet":  # the facts that stand with a table
+            return json.loads((pq.read_schema(path).metadata or {})[b"meta"])
+        return read_json(path)
+    return kind.read(path) if hasattr(kind, "read") else path
 
 
 def _as_section(value: Any, hint: Any) -> Any:

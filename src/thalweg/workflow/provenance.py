@@ -3,23 +3,18 @@
 import hashlib
 import importlib.metadata
 import json
-import logging
-import os
 import platform
-import secrets
 import shlex
 import shutil
 import subprocess
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
 import thalweg
-from thalweg.core import UNFINISHED, InputError, others_may_write, steps
-
-log = logging.getLogger("thalweg")
+from thalweg.core import UNFINISHED, InputError, steps
 
 FORMAT_VERSION = 1
 LIBRARIES = (
@@ -275,113 +270,3 @@ def bring_provenance(outputs: Iterable[Path], results: Path | None) -> None:
         made = target.with_name(f"{UNFINISHED}{target.name}")
         shutil.copyfile(record, made)
         made.replace(target)
-
-
-# ---------------------------------------------------------------- what several folders of results share
-
-CACHE: Final = "THALWEG_CACHE"
-"""Variable of the environment that names the folder of what is shared; without it nothing is."""
-SHARED: Final = frozenset(
-    {
-        *("mesh_reference", "detect_markers", "adjust_field", "orient_camera", "assemble_boat"),
-        *("calibrate_camera_lidar", "calibrate_ins_lidar", "calibrate_echo_sounder", "calibrate_board"),
-        *("calibrate_rig", "calibrate_sheet_camera", "calibrate_light_sheet"),
-    }
-)
-"""Rules whose results are shared: reference meshes and calibrations, which serve a whole season."""
-
-
-def cache_entry(made_of: Mapping[str, Any], outputs: Sequence[Path], threads: int) -> Path | None:
-    """Folder of the cache for a job, by the content of all that decides its outputs; None if not shared.
-
-    Of inputs names and contents count, not their folders; further code, parameters, libraries and threads.
-
-    Parameters
-    ----------
-    made_of : `origin` of the job.
-    outputs : final names.
-    threads : of the job; some sums depend on them in their last digits.
-
-    Raises
-    ------
-    InputError : others may write into the folder; their results would be taken for one's own.
-    """
-    folder = os.environ.get(CACHE)
-    if not folder or made_of["rule"] not in SHARED:
-        return None
-    if others_may_write(Path(folder)):
-        raise InputError(
-            f"others may write into the folder {CACHE}, and what they put there would count as results",
-            expected="a folder of one's own",
-            where=Path(folder).absolute(),
-            cure="Take the right to write from others (chmod go-w), or set the variable to another folder",
-        )
-    contents = [(Path(name).name, digest) for name, digest in made_of["inputs"].items()]
-    decides = {**made_of, "inputs": contents, "libraries": library_versions(), "threads": threads}
-    text = json.dumps([decides, [str(each) for each in outputs]], sort_keys=True, default=str)
-    return Path(folder) / made_of["rule"] / hashlib.sha256(text.encode()).hexdigest()
-
-
-def take_from_cache(entry: Path, outputs: Mapping[Path, Path], made_of: Mapping[str, Any]) -> bool:
-    """Copy the outputs of another run to where a job writes, with its provenance; False if there are none.
-
-    What is damaged in the cache is told and removed.
-
-    Parameters
-    ----------
-    entry : `cache_entry` of the job.
-    outputs : final names, and where each lies until it is whole.
-    made_of : `origin` of this job.
-    """
-    if not entry.is_dir():
-        return False
-    for k, (output, lies) in enumerate(outputs.items()):
-        kept = entry / f"{k}{output.suffix}"
-        try:
-            record = json.loads(meta_file(kept).read_text(encoding="utf-8"))
-            whole = record["sha256"] == sha256_of(kept)
-        except (OSError, ValueError, KeyError):
-            whole = False
-        if not whole:
-            log.warning("damaged, and made again: %s", kept)
-            shutil.rmtree(entry, ignore_errors=True)
-            return False
-        # No links: Snakemake sets the time of each output, which in the other run would start jobs again.
-        _copy(kept, lies, shutil.copyfile)
-        record = {**record, **made_of, "output": str(output), "from_cache": entry.name}
-        meta_file(lies).write_text(json.dumps(record, indent=2, default=str) + "\n", encoding="utf-8")
-    log.info("taken from %s", entry)
-    return True
-
-
-def put_into_cache(entry: Path, outputs: Mapping[Path, Path]) -> None:
-    """Keep outputs, where they lie with their provenance, for other runs; the first that comes stays."""
-    made = entry.with_name(f".part-{entry.name}-{secrets.token_hex(4)}")
-    try:
-        made.mkdir(parents=True)
-        for k, (output, lies) in enumerate(outputs.items()):
-            kept = made / f"{k}{output.suffix}"
-            _copy(lies, kept, _link)
-            _copy(meta_file(lies), meta_file(kept), _link)
-        made.rename(entry)
-    except OSError as error:
-        if not entry.is_dir():
-            log.warning("not kept in %s (%s); this run goes on without", entry.parent, error)
-    finally:
-        shutil.rmtree(made, ignore_errors=True)
-
-
-def _copy(source: Path, target: Path, copy: Callable[[str, str], object]) -> None:
-    """A file, or a folder with all that is in it, under a second name."""
-    if source.is_dir():
-        shutil.copytree(source, target, copy_function=copy, dirs_exist_ok=True)
-    else:
-        copy(str(source), str(target))
-
-
-def _link(source: str, target: str) -> None:
-    """The same bytes under a second name where the file system can: results are never written in place."""
-    try:
-        os.link(source, target)
-    except OSError:
-        shutil.copyfile(source, target)

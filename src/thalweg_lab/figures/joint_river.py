@@ -7,7 +7,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from thalweg.figures import BLUE, DEPTH_MAP, GREEN, VERMILION, count, new_figure, styled
+from thalweg.figures import BLUE, DEPTH_MAP, GREEN, VERMILION, count, mark_twin, new_figure, styled
 
 _CM_PER_M: Final = 100.0
 _ERROR_CM: Final = 20.0
@@ -29,8 +29,8 @@ def joint_river_figure(places: pd.DataFrame, by_depth: pd.DataFrame) -> Figure:
         170.0,
         "Echo sounder and light sheet on a river ten metres wide, "
         f"n = {count(surveys)} surveys; a to d: one of them",
-        twin=True,
     )
+    mark_twin(figure)
     grid = figure.add_gridspec(5, 2, height_ratios=[1, 1, 1, 1, 1.5], width_ratios=[40, 1])
     alone, joint = whole.index
     cells = places[places["what"] == f"cell, {alone}"]

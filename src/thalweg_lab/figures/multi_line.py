@@ -15,7 +15,7 @@ from matplotlib.colors import Colormap, ListedColormap, Normalize
 from matplotlib.figure import Figure
 
 from thalweg.core import AnyArray, ArrayF, InputError
-from thalweg.figures import SKY, count, new_figure, plural, styled
+from thalweg.figures import SKY, count, mark_twin, new_figure, plural, styled
 from thalweg.figures.calibration import Oblique
 from thalweg.lightsheet.figures import (
     GLASS_COLOUR,
@@ -76,7 +76,7 @@ def multi_line_geometry(lines: pd.DataFrame, sensor: Sensor | None = None) -> Fi
         f"A laser with n = {plural(len(numbers), 'line')} under the sensor of P4, on levels {words} mm deep "
         "(geometry, no data)"
     )
-    figure = new_figure(150.0, head, twin=False)
+    figure = new_figure(150.0, head)
     grid = figure.add_gridspec(2, 2, width_ratios=[1.15, 1.0], height_ratios=[1.0, 1.0])
     colours = ScalarMappable(Normalize(min(numbers), max(numbers)), LINE_MAP)
     left = figure.add_subplot(grid[:, 0])
@@ -236,7 +236,8 @@ def multi_line_images_view(
         f"A laser of fifteen lines: n = {count(len(points))} measured points, {count(len(labelled))} with a "
         f"label, of which {100 * right:.1f} % are right"
     )
-    figure = new_figure(142.0, head, twin=True)
+    figure = new_figure(142.0, head)
+    mark_twin(figure)
     axes = figure.subplots(2, len(objects), height_ratios=[1.15, 1.0])
     colours = ScalarMappable(Normalize(0, max(int(points["line"].max()), 1)), LINE_MAP)
     for k, (name, seen) in enumerate(objects.items()):

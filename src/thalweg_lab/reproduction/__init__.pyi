@@ -1,3 +1,14 @@
+from .budget_geometry import (
+    left_out as left_out,
+    published_setup as published_setup,
+    reconstruct as reconstruct,
+    solution_facts as solution_facts,
+)
+from .budget_page import (
+    group_shares as group_shares,
+    page as page,
+    what_the_cells_tell as what_the_cells_tell,
+)
 from .files import (
     CLASSES as CLASSES,
     read_ledger as read_ledger,
@@ -21,6 +32,7 @@ from .ledger import (
     sentence as sentence,
 )
 from .paper_models import SMALL_RIVER_WIDTH_M as SMALL_RIVER_WIDTH_M
+from .published_budgets import read_published as read_published
 from .verdicts import (
     ITEMS as ITEMS,
     headlines as headlines,

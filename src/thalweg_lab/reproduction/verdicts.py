@@ -266,7 +266,7 @@ def budget_lever(published: Published, *, name: str) -> Found:
 
 def budget_ratio(published: Published, *, name: str, of: str, over: str, distance_m: float) -> Found:
     """Influence of an input of a stored budget over that of another at a distance."""
-    table = long_table(read_budget(BUDGETS / f"{name}.yaml"), None)
+    table = long_table(read_budget(BUDGETS / f"{name}.yaml"))
     at = table[np.isclose(table["distance_m"], distance_m)]
     influence_mm = dict(zip(at["input"], at["influence_mm"].astype(float), strict=True))
     return Found(value=influence_mm[of] / influence_mm[over])

@@ -29,7 +29,6 @@ import pandas as pd
 
 from thalweg.accuracy import (
     ALL,
-    CHAINS,
     CLOUD_TO_MESH,
     WITHOUT_OUTLIERS,
     ComparisonSettings,
@@ -68,6 +67,7 @@ from thalweg_lab.studies.survey import Logs, ins_trajectory, orient, record, ref
 from thalweg_lab.truth import OWN_TIMES, carried_by_camera, chains_truth_table
 from thalweg_lab.voyage import Motion, Voyage, true_trajectory
 
+CHAINS: Final = ("ins", "camera", "fused")
 STATIONS: Final = 3
 MAX_POINTS: Final = 60_000
 """Points of a cloud that are compared."""

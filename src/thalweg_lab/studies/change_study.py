@@ -18,7 +18,6 @@ import numpy as np
 import pandas as pd
 from scipy.stats import norm
 
-from thalweg.accuracy import CHAINS
 from thalweg.core import ArrayB, ArrayF, ErrorChain
 from thalweg.deformation import (
     Compared,
@@ -57,6 +56,7 @@ CHANGE_M: Final = {"ins": 0.10, "camera": 0.10, "fused": 0.06}
 RECEIVER_S: Final = 0.1
 """Between solutions of the twin's receiver."""
 LEVEL: Final = 0.05
+CHAINS: Final = ("ins", "camera", "fused")
 Z95: Final = float(norm.isf(0.025))
 FIELD: Final = "field"
 MODELS: Final = (FIELD, "independent", "ep", "field, correlation times a tenth", "field, sigmas halved")

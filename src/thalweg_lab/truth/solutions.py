@@ -140,7 +140,7 @@ def judge_chains(
 
     Parameters
     ----------
-    trajectories : in the order of `CHAINS`.
+    trajectories : in the order of `CHAINS`; strips are last, where they were adjusted.
     voyage, true_mounts : the truth.
     mounts, boat : places of the sensors as used, and the boat's calibration, if there is one.
     rig : truth of the rig, if it is the camera.
@@ -152,7 +152,7 @@ def judge_chains(
     true = read_marked(rig[0], "mount", **rig_truth.TRUTH) if rig else read_true_mounts(true_mounts)["camera"]
     camera = Rigid.from_mount(true)
     chains_truth_table(
-        {name: Trajectory.read(path) for name, path in zip(CHAINS, trajectories, strict=True)},
+        {name: Trajectory.read(path) for name, path in zip(CHAINS, trajectories, strict=False)},
         Trajectory.read(voyage),
         correlation_s=longest_correlation_s(twin, position_source),
         carried={"camera": carried_by_camera(camera, used)},

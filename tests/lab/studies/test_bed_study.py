@@ -9,7 +9,7 @@ import pytest
 
 from tests.bands import band
 from thalweg.figures import save
-from thalweg.figures.bathymetry.pictures import draw_bed_patterns
+from thalweg_lab.figures.bed_patterns import draw_bed_patterns
 from thalweg_lab.studies import bed_study
 from thalweg_lab.studies.bed_study import MISTAKES, NONE, campaign_of, surveyed, verdicts
 

@@ -6,11 +6,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from thalweg.accuracy import CHAINS, range_facts
+from thalweg.accuracy import range_facts
 from thalweg.core import LocalFrame, Rigid, read_parquet, rotation_vector
 from thalweg_lab.settings import TwinConfig
 from thalweg_lab.studies import Batch, chain_study as study, chain_study as tables, run_seeds
-from thalweg_lab.studies.chain_study import ImageErrors, draw_images
+from thalweg_lab.studies.chain_study import CHAINS, ImageErrors, draw_images
 from thalweg_lab.studies.study import Study
 from thalweg_lab.studies.survey import BARE
 from thalweg_lab.voyage import Voyage

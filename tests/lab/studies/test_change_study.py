@@ -3,8 +3,8 @@
 import pytest
 
 from tests.bands import band
-from thalweg.accuracy import CHAINS
 from thalweg_lab.studies import change_study
+from thalweg_lab.studies.change_study import CHAINS
 from thalweg_lab.studies.study import Seed
 
 

@@ -14,7 +14,7 @@ import pandas as pd
 from scipy.stats import chi2
 
 from thalweg.calibration.field.description import Target
-from thalweg.calibration.field.network import agreeing, distances_words, other_scale, similarity
+from thalweg.calibration.field.network import agreeing, distances_words, similarity
 from thalweg.calibration.field.points import FieldPoints
 from thalweg.core import (
     Adjusted,
@@ -37,6 +37,10 @@ _WIDE: Final = 0.05
 _GROSS_M: Final = 0.5
 _GROSS_SIGMAS: Final = 10.0
 """A target farther off than this sum is a mistake in writing, not one of measurement."""
+_SIMILAR: Final = 1.01
+"""Factor between two scales below which they are no explanation of a contradiction."""
+_SCALED_SIGMAS: Final = 5.0
+"""Targets that all lie nearer than so many sigmas to the field if it is scaled, blame its scale."""
 _FAR_M: Final = 20_000.0
 """Distance of all targets from the origin of wcs at which a mistake in their coordinates is likely."""
 
@@ -98,19 +102,21 @@ def field_datum(points: FieldPoints, targets: Sequence[Target], frame: LocalFram
     wcs = targets_wcs(usable, frame)
     rtk = np.array([np.diag(np.square(t.sigma_m)) for t in usable])
     _require_width(pcs, [t.name for t in usable])
-    used = _without_gross(pcs, wcs, usable, frame)
+    used = _without_gross(pcs, wcs, usable)
     gross = not used.all()
     adjusted = _adjust(pcs, cov, wcs, rtk, used)
     if _probability(adjusted) < _LEVEL:
+        off = wcs - adjusted.x.apply(pcs)
         if gross:
-            raise _several([t.name for t in usable], wcs - adjusted.x.apply(pcs))
-        _require_scale(pcs, cov, wcs, rtk)
+            raise _several([t.name for t in usable], off)
+        _require_scale(pcs, wcs, _tolerances_m(usable, 0.0, _SCALED_SIGMAS), [t.name for t in usable], off)
         used[_wrong(pcs, cov, wcs, rtk, [t.name for t in usable])] = False
         adjusted = _adjust(pcs, cov, wcs, rtk, used)
     for wrong in np.flatnonzero(~used):
         east, north, up = wcs[wrong] - adjusted.x.apply(pcs[wrong : wrong + 1])[0]
         reason = f"its RTK position is {_metres(east)} east, {_metres(north)} north, {_metres(up)} up"
-        reason += f" of what the others say: {_what_to_check(usable[wrong], adjusted.x, pcs[wrong], frame)}"
+        reason += " of what the others say: measure it again, and check its marker and coordinates (lat_deg, "
+        reason += "lon_deg) in the field description"
         rejected.append((usable[wrong].name, reason))
     off = wcs - adjusted.x.apply(pcs)
     table = pd.DataFrame(
@@ -152,30 +158,23 @@ def _adjust(pcs: ArrayF, cov: ArrayF, wcs: ArrayF, rtk: ArrayF, used: ArrayB) ->
         raise _one_line([]) from error
 
 
-def _without_gross(pcs: ArrayF, wcs: ArrayF, targets: Sequence[Target], frame: LocalFrame) -> ArrayB:
-    """(n,) targets without the only one that is far off; several mistakes are explained.
+def _tolerances_m(targets: Sequence[Target], least_m: float, sigmas: float) -> ArrayF:
+    return np.array([least_m + sigmas * float(np.linalg.norm(t.sigma_m)) for t in targets])
+
+
+def _without_gross(pcs: ArrayF, wcs: ArrayF, targets: Sequence[Target]) -> ArrayB:
+    """(n,) targets without the only one that is far off.
 
     Raises
     ------
-    GeometryError : latitude and longitude are exchanged, the scale bars contradict, or more
-        than one target is far off.
+    GeometryError : the scale bars contradict, or more than one target is far off.
     """
     names = [t.name for t in targets]
-    tolerance = np.array([_GROSS_M + _GROSS_SIGMAS * float(np.linalg.norm(t.sigma_m)) for t in targets])
+    tolerance = _tolerances_m(targets, _GROSS_M, _GROSS_SIGMAS)
     near, off, _ = agreeing(pcs, wcs, tolerance)
     if near.all():
         return near
-    told = f"the RTK targets contradict the field by {distances_words(names, off)}"
-    turned = _turned(targets, frame)
-    if turned is not None and agreeing(pcs, turned, tolerance)[0].all():
-        raise GeometryError(
-            f"{told}: latitude and longitude of the targets are exchanged",
-            expected="lat_deg and lon_deg as in the field description's example",
-            cure="Exchange lat_deg and lon_deg of the targets in the field description",
-        )
-    factor = other_scale(pcs, wcs, tolerance)
-    if factor is not None:
-        raise _scale_error(factor, told)
+    _require_scale(pcs, wcs, tolerance, names, off)
     if len(targets) > 3 and near.sum() == len(targets) - 1:
         return near
     raise _several(names, off, near, _origin_words(wcs))
@@ -198,47 +197,26 @@ def _several(names: list[str], off_m: ArrayF, near: ArrayB | None = None, hint: 
     return GeometryError(
         f"the RTK targets contradict the field by {distances_words(names, off_m)}: {who}{hint}",
         expected="at most one wrong target among four or more",
-        cure="Check markers and coordinates of the targets in the field description, those with the largest "
-        "distance first, and the campaign's origin",
+        cure="Check markers and coordinates (lat_deg, lon_deg) of the targets in the field description, "
+        "those with the largest distance first, and the campaign's origin",
     )
 
 
-def _scale_error(factor: float, told: str) -> GeometryError:
-    return GeometryError(
-        f"{told}: by the targets the field is {factor:.4g} times as large as by the scale bars",
-        expected="scale bars and RTK targets that give one scale",
-        cure="Check lengths and end marks of the scale bars (in metres) in the field description",
-    )
+def _require_scale(pcs: ArrayF, wcs: ArrayF, tolerance_m: ArrayF, names: list[str], off_m: ArrayF) -> None:
+    """Scale bars that are wrong show in all targets at once, and no single one is to blame.
 
-
-def _require_scale(pcs: ArrayF, cov: ArrayF, wcs: ArrayF, rtk: ArrayF) -> None:
-    """Scale bars that are wrong by less show in all targets at once, and no single one is to blame."""
-    n = len(pcs)
-    factor, _ = similarity(pcs, wcs, scaled=True)
-    scaled = _adjust(factor * pcs, factor**2 * cov, wcs, rtk, np.ones(n, dtype=np.bool_))
-    fits = chi2.sf(scaled.sigma0_squared * scaled.redundancy, scaled.redundancy - 1)
-    single = (
-        [_probability(_adjust(pcs, cov, wcs, rtk, np.arange(n) != k)) for k in range(n)] if n > 3 else [0.0]
-    )
-    if fits >= _LEVEL > max(single):
-        off = wcs - _adjust(pcs, cov, wcs, rtk, np.ones(n, dtype=np.bool_)).x.apply(pcs)
-        worst = float(np.linalg.norm(off, axis=1).max())
-        raise _scale_error(factor, f"the RTK targets contradict the field by up to {worst:.2f} m")
-
-
-def _turned(targets: Sequence[Target], frame: LocalFrame) -> ArrayF | None:
-    """(n, 3) wcs with latitude and longitude exchanged, None if that is no place."""
-    if any(abs(t.lon_deg) > 90 for t in targets):
-        return None
-    return np.array([frame.from_geodetic(t.lon_deg, t.lat_deg, t.h_ell_m) for t in targets])
-
-
-def _what_to_check(target: Target, place: Rigid, pcs: ArrayF, frame: LocalFrame) -> str:
-    turned = _turned([target], frame)
-    there = place.apply(pcs[None])[0]
-    if turned is not None and np.linalg.norm(turned[0] - there) < _GROSS_M:
-        return "its latitude and longitude are exchanged"
-    return "measure it again, and check its marker and coordinates in the field description"
+    Raises
+    ------
+    GeometryError : in another scale the field agrees with all targets.
+    """
+    kept, _, factor = agreeing(pcs, wcs, tolerance_m, scaled=True)
+    if kept.all() and factor > 0 and max(factor, 1 / factor) > _SIMILAR:
+        raise GeometryError(
+            f"the RTK targets contradict the field by {distances_words(names, off_m)}: by the targets the "
+            f"field is {factor:.4g} times as large as by the scale bars",
+            expected="scale bars and RTK targets that give one scale",
+            cure="Check lengths and end marks of the scale bars (in metres) in the field description",
+        )
 
 
 def _origin_words(wcs: ArrayF) -> str:

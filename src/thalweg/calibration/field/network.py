@@ -69,9 +69,6 @@ _SCALES: Final = (0.6, 1.6)
 """The sheets' printed size gives the size of a field, less the error of a nominal focal length."""
 _ASKEW: Final = 0.15
 """Median distance over the size of the field up to which an approximate place is one."""
-_SIMILAR: Final = 1.01
-"""Factor between two scales below which they are no explanation of a gross contradiction."""
-
 _LEAST_IMAGES: Final = 3
 """Pictures on either side of the place where a camera may have changed."""
 _NOTED: Final = 0.3
@@ -752,8 +749,7 @@ def _unit(v: ArrayF) -> ArrayF:
 # ---------------------------------------------------------------- targets that contradict the field grossly
 #
 # Any three targets give a place of the field in closed form; the place that most targets agree with is
-# kept, as in RANSAC, but over all triples. What agrees with nothing is then explained:
-# coordinates with latitude and longitude exchanged, scale bars in another unit.
+# kept, as in RANSAC, but over all triples.
 
 
 def similarity(a: ArrayF, b: ArrayF, *, scaled: bool) -> tuple[float, Rigid]:
@@ -769,26 +765,18 @@ def similarity(a: ArrayF, b: ArrayF, *, scaled: bool) -> tuple[float, Rigid]:
 
 
 def approximate_place(a: ArrayF, b: ArrayF, *, scaled: bool) -> tuple[float, Rigid] | None:
-    """The similarity of three places that most others lie nearest to; None if no three belong together.
+    """The similarity that most places agree with; None if no three belong together.
 
     Parameters
     ----------
     a, b : (n, 3) the same places in two frames, of about the same size.
     scaled : estimate a factor, too.
     """
-    best: tuple[float, ArrayB] | None = None
     size = float(np.sqrt(np.square(a - a.mean(axis=0)).sum(axis=1).mean()))
-    for three in _triples(a):
-        factor, T = similarity(a[three], b[three], scaled=True)
-        if not _SCALES[0] < factor < _SCALES[1]:
-            continue
-        off = np.linalg.norm(T.apply(factor * a) - b, axis=1)
-        cost = float(np.median(off)) + float(off[three].max())
-        if best is None or cost < best[0]:
-            best = cost, np.asarray(off < _ASKEW * size)
-    if best is None or best[0] > 2 * _ASKEW * size or best[1].sum() < 3:
+    kept, _, factor = agreeing(a, b, np.full(len(a), _ASKEW * size), scaled=True)
+    if not kept.any() or not _SCALES[0] < factor < _SCALES[1]:
         return None
-    return similarity(a[best[1]], b[best[1]], scaled=scaled)
+    return similarity(a[kept], b[kept], scaled=scaled)
 
 
 def agreeing(
@@ -818,13 +806,6 @@ def agreeing(
     everyone: AnyArray = np.ones(len(pcs), np.bool_)
     factor, T = similarity(*(x[kept if best else everyone] for x in (pcs, wcs)), scaled=scaled)
     return kept, wcs - T.apply(factor * pcs), factor
-
-
-def other_scale(pcs: ArrayF, wcs: ArrayF, tolerance_m: ArrayF) -> float | None:
-    """The factor by which the field is too small if that explains what contradicts, None if not."""
-    kept, _, factor = agreeing(pcs, wcs, tolerance_m, scaled=True)
-    clear = max(factor, 1 / factor) > _SIMILAR if factor > 0 else False
-    return factor if clear and kept.all() else None
 
 
 def distances_words(names: Sequence[str], off_m: ArrayF) -> str:

@@ -4,6 +4,7 @@ from .distances import (
     centimetres as centimetres,
     compared as compared,
     distance_histogram as distance_histogram,
+    outlier_rule as outlier_rule,
     round_above as round_above,
     round_limit_m as round_limit_m,
 )

@@ -1,26 +1,16 @@
 """A finished cloud and its reference: distances from above and from the side, and their page."""
 
-import json
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 import pandas as pd
-from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
-from thalweg.core import read_parquet
-from thalweg.figures import Finding, Page, count, new_figure, styled
+from thalweg.figures import Finding, Page, Pictures, colour_bar, count, new_figure, styled
 from thalweg.figures.accuracy.distance_map import DISTANCE_MAP
-from thalweg.figures.accuracy.distances import (
-    centimetres,
-    compared,
-    distance_histogram,
-    round_limit_m,
-    statistics_text,
-)
+from thalweg.figures.accuracy.distances import centimetres, compared, round_limit_m, statistics_text
 
 CAPTIONS: Final = {
     "distances_in_plan": "Signed distances of the points from the reference, medians of cells: from above, "
@@ -34,24 +24,21 @@ _FEWEST: Final = 8
 
 
 @styled
-def distances_in_plan(
-    table: pd.DataFrame, *, title: str = "Distances of the cloud to the reference", twin: bool = False
-) -> Figure:
+def distances_in_plan(table: pd.DataFrame, *, title: str = "Distances to the reference") -> Figure:
     """Median distances of cells, from above and from the side.
 
     Parameters
     ----------
     table : of kind ``cloud_to_surface``.
     title : first words of the title.
-    twin : true if the digital twin made the data.
 
     Raises
     ------
     CoverageError : no point was compared.
     """
     used = compared(table)
-    d = used["distance_m"].to_numpy(np.float64)
-    xyz = used[["east_m", "north_m", "up_m"]].to_numpy(np.float64)
+    d = used["distance_m"].to_numpy()
+    xyz = used[["east_m", "north_m", "up_m"]].to_numpy()
     plan = xyz[:, :2] - xyz[:, :2].mean(axis=0)
     along = np.linalg.svd(plan[:: max(len(plan) // 20_000, 1)], full_matrices=False)[2][0]
     along = along if along[np.argmax(np.abs(along))] > 0 else -along
@@ -61,13 +48,15 @@ def distances_in_plan(
     side_m = max(float(np.ptp(plan @ along)), 1e-3)
     upper = float(np.clip(140.0 * span[1] / span[0], 25.0, 120.0))
     lower = float(np.clip(140.0 * span[2] / side_m, 25.0, 70.0))
-    figure = new_figure(upper + lower + 30.0, head, twin=twin)
+    figure = new_figure(upper + lower + 30.0, head)
     above, side = np.ravel(figure.subplots(2, 1, height_ratios=[upper, lower]))
     norm = Normalize(-100 * limit, 100 * limit)
-    look: dict[str, Any] = {"C": 100 * d, "reduce_C_function": np.median, "cmap": DISTANCE_MAP, "norm": norm}
-    look["gridsize"] = int(np.clip(np.sqrt(len(d)) / 1.5, _FEWEST, _CELLS))
+    cells = int(np.clip(np.sqrt(len(d)) / 1.5, _FEWEST, _CELLS))
     for ax, x, y in ((above, *xyz[:, :2].T), (side, plan @ along, xyz[:, 2])):
-        ax.hexbin(x, y, **look, lw=0.1, rasterized=True)
+        ax.hexbin(
+            x, y, 100 * d, gridsize=cells, reduce_C_function=np.median, cmap=DISTANCE_MAP, norm=norm, lw=0.1,
+            rasterized=True,
+        )  # fmt: skip
         ax.ticklabel_format(style="plain", useOffset=False)
     above.set(xlabel="east, x / m", ylabel="north, y / m")
     above.set_aspect("equal" if 0.1 < span[1] / span[0] < 10 else "auto")
@@ -75,34 +64,12 @@ def distances_in_plan(
     heading = float(np.rad2deg(np.arctan2(along[0], along[1]))) % 360.0
     side.set(xlabel=f"along the direction {heading:.0f} degrees from north (y) / m", ylabel="up, z / m")
     side.set_title("b: from the side, heights not to the scale of lengths")
-    figure.colorbar(
-        ScalarMappable(norm, DISTANCE_MAP),
-        ax=[above, side],
-        extend="both",
-        shrink=0.7,
-        label="median distance / cm",
-    )
+    colour_bar([above, side], DISTANCE_MAP, norm, "median distance / cm", extend="both", shrink=0.7)
     return figure
 
 
-def draw_distances_in_plan(*, distances: Path, title: str, twin: bool) -> Figure:
-    """Distances of a finished cloud -> both views."""
-    return distances_in_plan(read_parquet(distances), title=f"Distances to the reference: {title}", twin=twin)
-
-
-def draw_cloud_histogram(*, distances: Path, title: str, twin: bool) -> Figure:
-    """Distances of a finished cloud -> histogram."""
-    return distance_histogram(
-        read_parquet(distances), title=f"Distances to the reference: {title}", twin=twin
-    )
-
-
 def cloud_page(
-    facts: Mapping[str, Any],
-    pictures: Mapping[str, Path | Figure],
-    *,
-    captions: Mapping[str, str] = CAPTIONS,
-    title: str,
+    facts: Mapping[str, Any], pictures: Pictures, *, captions: Mapping[str, str] = CAPTIONS, title: str
 ) -> Page:
     """The page of a finished cloud that was compared with a reference.
 
@@ -137,8 +104,7 @@ def cloud_page(
     if counts["outliers"]:
         lead += f", {centimetres(kept['rmse_m'])} without {count(counts['outliers'])} outliers"
     lead += f"; {offset}." if (offset := _offset(moved)) else "."
-    page = Page(title, lead, findings).section("Distances")
-    page.figures(pictures, captions)
+    page = Page(title, lead, findings).pictures(pictures, captions, section="Distances")
     rows = {"all": raw, "without outliers": kept}
     if moved.get("done"):
         rows |= {"registered": moved["all"], "registered, without outliers": moved["without_outliers"]}
@@ -190,12 +156,3 @@ def _motion(page: Page, moved: Mapping[str, Any]) -> None:
         "changes: they hold what differs from place to place, and nothing that the whole cloud shares. "
         + (f"Not determined by this surface, and left: {fixed}." if fixed else "")
     )
-
-
-def write_cloud_page(
-    *, facts: Path, pictures: list[Path], captions: dict[str, str], title: str, twin: bool, page: Path
-) -> None:
-    """The same from files; a digital twin has no finished clouds."""
-    cloud_page(
-        json.loads(facts.read_text()), {path.stem: path for path in pictures}, captions=captions, title=title
-    ).write(page)

@@ -4,7 +4,6 @@ A section is a vertical plane across the bank. Points within half of the slab's 
 are drawn as if they lay in it. Looked at along the bank, the river is on the left.
 """
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,17 +12,17 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
-from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection
 from matplotlib.colors import Colormap, ListedColormap, Normalize
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator
 
 from thalweg.accuracy import CLOUD_TO_MESH
-from thalweg.core import ArrayF, Trajectory, iter_laz, read_table
+from thalweg.core import ArrayF, Trajectory, iter_laz, read_json, read_table
 from thalweg.core.geometry import TriangleMesh, read_mesh
-from thalweg.figures import BLUE, TIME_MAP, WIDTH_MM, count, new_figure, scale_bar, styled
+from thalweg.figures import BLUE, TIME_MAP, WIDTH_MM, colour_bar, count, new_figure, scale_bar, styled
 from thalweg.figures.accuracy.distances import bank_frame_of, compared, round_above
 from thalweg.surface import BankFrame
 
@@ -102,30 +101,28 @@ class Slabs:
     def __init__(self, table: pd.DataFrame, bank: BankFrame, options: Mapping[str, Any]) -> None:
         self.bank = bank
         self.thickness_m = float(options["thickness_m"])
-        points_m = compared(table)[["east_m", "north_m", "up_m"]].to_numpy(np.float64)
-        along = self._along(points_m)
+        points_m = compared(table)[["east_m", "north_m", "up_m"]].to_numpy()
+        along, across = self._place(points_m)
         low, high = np.percentile(along, [0.5, 99.5])
         self.middle_m = float(0.5 * (low + high))
         wanted = options["stations_m"]
         if wanted is None:
             n = int(options["count"])
             wanted = (np.arange(n) + 0.5 - 0.5 * n) * (high - low) / n
-        across = self._across(points_m)
         self.sections = [
             self._section(self.middle_m + float(station), along, across, points_m[:, 2]) for station in wanted
         ]
 
     def add(self, which: str, points_wcs_m: ArrayF, t_gps_s: ArrayF | None = None) -> None:
         """Add the points of a chunk that lie in a slab and in its picture to ``cloud`` or ``reference``."""
-        along = self._along(points_wcs_m)
+        along, across = self._place(points_wcs_m)
+        t = np.full(len(along), np.nan) if t_gps_s is None else t_gps_s
+        points = np.stack([across, points_wcs_m[:, 2], t], axis=1)
         for section in self.sections:
-            inside = np.flatnonzero(np.abs(along - section.along_m) <= 0.5 * self.thickness_m)
-            p = points_wcs_m[inside]
-            across = self._across(p)
-            shown = (across >= section.across_m[0]) & (across <= section.across_m[1])
-            shown &= (p[:, 2] >= section.height_m[0]) & (p[:, 2] <= section.height_m[1])
-            t = t_gps_s[inside][shown] if t_gps_s is not None else np.full(int(shown.sum()), np.nan)
-            getattr(section, which).append(np.stack([across[shown], p[shown, 2], t], axis=1))
+            low, high = np.transpose([section.across_m, section.height_m])
+            inside = np.abs(along - section.along_m) <= 0.5 * self.thickness_m
+            inside &= np.all((points[:, :2] >= low) & (points[:, :2] <= high), axis=1)
+            getattr(section, which).append(points[inside])
 
     def boat_along_m(self, section: Section, trajectory: Trajectory) -> ArrayF:
         """Place (n,) of the boat along the bank, from the section, when it measured a point; NaN: unknown."""
@@ -133,7 +130,7 @@ class Slabs:
         track, valid = trajectory.position_wcs_m, trajectory.valid
         if not len(t) or valid.sum() < 2:
             return np.full(len(t), np.nan)
-        along = self._along(track[valid]) - section.along_m
+        along = self._place(track[valid])[0] - section.along_m
         return np.interp(t, trajectory.t_gps_s[valid], along, left=np.nan, right=np.nan)
 
     def water_m(self, section: Section, trajectory: Trajectory, water_line_ics_m: float) -> float | None:
@@ -141,12 +138,12 @@ class Slabs:
         track = trajectory.position_wcs_m[trajectory.valid]
         if not len(track):
             return None
-        nearest = int(np.argmin(np.abs(self._along(track) - section.along_m)))
+        nearest = int(np.argmin(np.abs(self._place(track)[0] - section.along_m)))
         return float(track[nearest, 2]) - water_line_ics_m
 
     def cut(self, section: Section, mesh: TriangleMesh) -> ArrayF:
         """Where a section's plane cuts the reference: pieces of line (m, 2, 2) of across and height."""
-        ahead = self._along(mesh.vertices_m) - section.along_m
+        ahead = self._place(mesh.vertices_m)[0] - section.along_m
         corners = ahead[mesh.faces]
         crossed = mesh.faces[(corners.min(axis=1) < 0) & (corners.max(axis=1) >= 0)]
         ends = []
@@ -159,17 +156,13 @@ class Slabs:
             other = crossed[rows, (alone + k) % 3]
             share = (ahead[tip] / (ahead[tip] - ahead[other]))[:, None]
             place = mesh.vertices_m[tip] * (1.0 - share) + mesh.vertices_m[other] * share
-            ends.append(np.stack([self._across(place), place[:, 2]], axis=1))
+            ends.append(np.stack([self._place(place)[1], place[:, 2]], axis=1))
         return np.stack(ends, axis=1)
 
-    def _along(self, points_wcs_m: ArrayF) -> ArrayF:
-        a = self.bank.R_bank_wcs[0]
-        return np.asarray((points_wcs_m - self.bank.origin_m) @ a)
-
-    def _across(self, points_wcs_m: ArrayF) -> ArrayF:
-        """Horizontal metres away from the river: up x along."""
-        a = self.bank.R_bank_wcs[0]
-        return np.asarray((points_wcs_m[:, :2] - self.bank.origin_m[:2]) @ np.array([-a[1], a[0]]))
+    def _place(self, points_wcs_m: ArrayF) -> tuple[ArrayF, ArrayF]:
+        """Metres along the bank, and horizontal ones across it away from the river: up x along."""
+        a, off = self.bank.R_bank_wcs[0], points_wcs_m - self.bank.origin_m
+        return off @ a, off[:, :2] @ np.array([-a[1], a[0]])
 
     def _section(self, at_m: float, along: ArrayF, across: ArrayF, height: ArrayF) -> Section:
         near = np.abs(along - at_m) <= max(0.5 * self.thickness_m, 0.5)
@@ -189,7 +182,6 @@ def cross_sections(
     *,
     water_line_ics_m: float | None = None,
     title: str = "Cross sections of cloud and reference",
-    twin: bool = False,
 ) -> Figure:
     """A row for each section: the whole of it on the left, a piece of it magnified on the right.
 
@@ -200,7 +192,6 @@ def cross_sections(
     trajectory : the boat.
     water_line_ics_m : depth of the water line below the ics origin; None: no water is drawn.
     title : first words of the title.
-    twin : true if the digital twin made the data.
     """
     places = [slabs.boat_along_m(section, trajectory) for section in slabs.sections]
     n = sum(len(place) for place in places)
@@ -210,7 +201,7 @@ def cross_sections(
     norm = Normalize(-reach, reach)
     rows = [_row_mm(section) for section in slabs.sections]
     head = f"{title}, slabs of {100 * slabs.thickness_m:g} cm, n = {count(n)} points"
-    figure = new_figure(sum(rows) + 30.0, head, twin=twin)
+    figure = new_figure(sum(rows) + 30.0, head)
     panels = figure.subplots(
         len(rows), 2, squeeze=False, height_ratios=rows, width_ratios=[_LEFT_SHARE, 1.0 - _LEFT_SHARE]
     )
@@ -219,18 +210,19 @@ def cross_sections(
         _draw_row(whole, zoom, section, place, slabs, mesh, norm, water)
     panels[-1][0].set_xlabel("across the bank, away from the river / m")
     panels[-1][1].set_xlabel("across the bank / m")
-    figure.colorbar(
-        ScalarMappable(norm, PLACE_MAP),
-        ax=list(panels.ravel()),
-        location="bottom",
-        aspect=55,
-        shrink=0.8,
-        pad=0.02,
-        extend="both" if (known > reach).any() else "neither",
-        label="distance of the boat along the bank from the section / m",
-    )
+    words = "distance of the boat along the bank from the section / m"
+    look = {"location": "bottom", "aspect": 55, "shrink": 0.8, "pad": 0.02}
+    colour_bar(panels, PLACE_MAP, norm, words, **look, extend="both" if (known > reach).any() else "neither")
     figure.align_ylabels(list(panels[:, 0]))
-    _legend(figure, panels[0][0], water=water_line_ics_m is not None)
+    looks: list[dict[str, Any]] = [
+        {"color": "black", "lw": 1.2, "label": "reference surface"},
+        {"ls": "none", "marker": ".", "color": "0.55", "label": "reference points"},
+        {"color": BLUE, "lw": 0.8, "ls": (0, (6, 2)), "label": "water level at the boat"},
+        {"ls": "none", "marker": "s", "mfc": "none", "mec": "black", "label": "magnified piece"},
+    ]
+    shown = [look for look in looks if water_line_ics_m is not None or "water" not in look["label"]]
+    handles = [Line2D([], [], **look) for look in shown]
+    figure.legend(handles=handles, loc="outside lower left", ncols=len(handles))
     return figure
 
 
@@ -283,19 +275,16 @@ def _draw_row(
         ax.set_aspect("equal")
         ax.xaxis.set_major_locator(MaxNLocator(8 if ax is whole else 4, steps=[1, 2, 5, 10]))
         ax.yaxis.set_major_locator(MaxNLocator(6, steps=[1, 2, 5, 10]))
-    whole.set_xlim(*section.across_m)
-    whole.set_ylim(*section.height_m)
-    zoom.set_xlim(box[0], box[1])
-    zoom.set_ylim(box[2], box[3])
+    whole.set(xlim=section.across_m, ylim=section.height_m)
+    zoom.set(xlim=box[:2], ylim=box[2:])
     frame = Rectangle((box[0], box[2]), box[1] - box[0], box[3] - box[2], fill=False, ec="black", lw=0.9)
     frame.set(zorder=6, gid="zoom")
     whole.add_patch(frame)
     for spine in zoom.spines.values():
         spine.set_visible(True)
         spine.set_edgecolor("black")
-    inside = (points[:, 0] >= box[0]) & (points[:, 0] <= box[1])
-    inside &= (points[:, 1] >= box[2]) & (points[:, 1] <= box[3])
-    zoom.set_title(f"magnified, n = {count(int(inside.sum()))}")
+    inside = np.all((points[:, :2] >= box[::2]) & (points[:, :2] <= box[1::2]), axis=1)
+    zoom.set_title(f"magnified, n = {count(inside.sum())}")
     # The bank rises to the right: the lower right corner is free.
     scale_bar(zoom, span_m=box[1] - box[0], xy=(0.72, 0.07))
 
@@ -342,17 +331,6 @@ def _row_mm(section: Section) -> float:
     return float(np.clip(drawn_mm * height_m / width_m + 6.0, LEAST_ROW_MM, MOST_ROW_MM))
 
 
-def _legend(figure: Figure, ax: Axes, *, water: bool) -> None:
-    looks: list[dict[str, Any]] = [
-        {"color": "black", "lw": 1.2, "label": "reference surface"},
-        {"ls": "none", "marker": ".", "color": "0.55", "label": "reference points"},
-        {"color": BLUE, "lw": 0.8, "ls": (0, (6, 2)), "label": "water level at the boat"},
-        {"ls": "none", "marker": "s", "mfc": "none", "mec": "black", "label": "magnified piece"},
-    ]
-    handles = [ax.plot([], [], **look)[0] for look in looks if water or "water" not in look["label"]]
-    figure.legend(handles=handles, loc="outside lower left", ncols=len(handles))
-
-
 def draw_cross_sections(
     *,
     comparison: Path,
@@ -364,11 +342,10 @@ def draw_cross_sections(
     sections: dict[str, Any],
     water_line_ics_m: float | None,
     title: str,
-    twin: bool,
 ) -> Figure:
     """Cloud, reference and their comparison -> cross sections through both."""
     table, _ = read_table(comparison, CLOUD_TO_MESH)
-    slabs = Slabs(table, bank_frame_of(json.loads(mesh_facts.read_text())), sections)
+    slabs = Slabs(table, bank_frame_of(read_json(mesh_facts)), sections)
     for chunk in iter_laz(points, 1_000_000):
         slabs.add("cloud", chunk["xyz_m"], chunk["t_gps_s"])
     for chunk in iter_laz(reference, 1_000_000):
@@ -379,5 +356,4 @@ def draw_cross_sections(
         Trajectory.read(trajectory),
         water_line_ics_m=water_line_ics_m,
         title=f"Cross sections of cloud and reference: {title}",
-        twin=twin,
     )

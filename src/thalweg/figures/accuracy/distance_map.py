@@ -4,7 +4,6 @@ The map is drawn in the plane of the bank: along the bank to the right as one lo
 up its slope. A long bank is cut into strips that lie below each other, all at one scale.
 """
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -13,15 +12,14 @@ import numpy as np
 import pandas as pd
 from cmcrameri import cm
 from matplotlib.axes import Axes
-from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Colormap, ListedColormap, Normalize
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from thalweg.accuracy import CLOUD_TO_MESH
-from thalweg.core import ArrayF, ArrayI, read_table
+from thalweg.core import ArrayF, ArrayI, read_json, read_table
 from thalweg.core.geometry import RayCaster, TriangleMesh, read_mesh
-from thalweg.figures import WIDTH_MM, count, new_figure, round_length, scale_bar, styled
+from thalweg.figures import WIDTH_MM, colour_bar, count, new_figure, round_length, scale_bar, styled
 from thalweg.figures.accuracy.distances import bank_frame_of, compared, round_limit_m, statistics_text
 from thalweg.surface import BankFrame
 
@@ -61,11 +59,6 @@ class Strip:
 
     along_m: tuple[float, float]
     up_slope_m: tuple[float, float]
-
-    @property
-    def extent(self) -> tuple[float, float, float, float]:
-        """Left, right, bottom, top."""
-        return (*self.along_m, *self.up_slope_m)
 
     @property
     def size_m(self) -> tuple[float, float]:
@@ -112,7 +105,6 @@ def distance_map(
     max_distance_m: float = np.inf,
     max_points: int = 2_000_000,
     title: str = "Distance of the cloud to the reference",
-    twin: bool = False,
 ) -> Figure:
     """Median signed distance of the points in each cell of the bank, over the shaded reference.
 
@@ -125,7 +117,6 @@ def distance_map(
     max_distance_m : points farther off were left out for that, whether near the border or not.
     max_points : points drawn at most, evenly thinned; the numbers in the titles are those of all points.
     title : first words of the title.
-    twin : true if the digital twin made the data.
 
     Raises
     ------
@@ -133,61 +124,49 @@ def distance_map(
     CoverageError : no point was compared.
     """
     used = compared(table)
-    distance_m = used["distance_m"].to_numpy(np.float64)
+    distance_m = used["distance_m"].to_numpy()
     drawn = used.iloc[:: -(-len(used) // max_points)]
     aside = table[table["at_border"] & ~table["used"] & (table["distance_m"].abs() <= max_distance_m)]
-    place = _on_bank(drawn, bank)
-    place_aside = _on_bank(aside.iloc[:: max(1, -(-len(aside) // max_points))], bank)
-    pieces = strips(np.concatenate([place, place_aside]))
-    m_per_mm = _scale(pieces)
-    points = _Points(
-        place_m=place,
-        distance_m=drawn["distance_m"].to_numpy(np.float64),
-        aside_m=place_aside,
-        limit_m=limit_m or round_limit_m(distance_m),
-        cell_m=_cell_m(place, m_per_mm),
+    place, place_aside = (
+        bank.to_bank(each[["east_m", "north_m", "up_m"]].to_numpy())
+        for each in (drawn, aside.iloc[:: max(1, -(-len(aside) // max_points))])
     )
+    pieces = strips(np.concatenate([place, place_aside]))
+    # strips fill the width unless they would be too high
+    m_per_mm = max(
+        max(piece.size_m[0] for piece in pieces) / _DRAWN_MM,
+        sum(piece.size_m[1] for piece in pieces) / (STRIPS_MM - STRIP_MM * len(pieces)),
+    )
+    limit, cell_m = limit_m or round_limit_m(distance_m), _cell_m(place, m_per_mm)
     heights = [piece.size_m[1] / m_per_mm for piece in pieces]
     head = f"{title}, n = {count(len(used))} points, {statistics_text(distance_m)}"
-    figure = new_figure(sum(heights) + STRIP_MM * len(pieces) + 54.0, head, twin=twin)
+    figure = new_figure(sum(heights) + STRIP_MM * len(pieces) + 54.0, head)
     panels = list(figure.subplots(len(pieces), 1, height_ratios=heights, squeeze=False)[:, 0])
     caster = RayCaster(bank.to_bank(mesh.vertices_m), mesh.faces)
+    shown = np.zeros(len(place), dtype=bool)
     for ax, piece in zip(panels, pieces, strict=True):
         _draw_reference(ax, caster, piece)
-        _draw_cells(ax, piece, points)
-        ax.set_aspect("equal")
-        ax.set_xlim(*piece.along_m)
-        ax.set_ylim(*piece.up_slope_m)
-        ax.set_ylabel("up slope / m")
+        _draw_cells(ax, piece, place, drawn["distance_m"].to_numpy(), place_aside, limit, cell_m)
+        low, high = np.transpose([piece.along_m, piece.up_slope_m])
+        shown |= np.all((place[:, :2] >= low) & (place[:, :2] <= high), axis=1)
+        ax.set(aspect="equal", xlim=piece.along_m, ylim=piece.up_slope_m, ylabel="up slope / m")
         ax.yaxis.set_major_locator(MaxNLocator(6, steps=[1, 2, 5, 10]))
-    panels[0].set_title(_subtitle(used, len(aside), bank, _share_beyond(pieces, place)))
+    panels[0].set_title(_subtitle(used, len(aside), bank, 1.0 - float(np.mean(shown))))
     panels[-1].set_xlabel("along the bank, to the right as seen from the river / m")
     scale_bar(panels[-1], span_m=pieces[-1].size_m[0], xy=(0.02, 0.08))
-    _colour_bar(figure, panels, points, distance_m)
+    words = f"signed distance to the reference, median of each cell of {100 * cell_m:g} cm / cm"
+    look = {"location": "bottom", "aspect": 55, "shrink": 0.8, "pad": 0.02, "extend": "both"}
+    bar = colour_bar(panels, DISTANCE_MAP, (-100 * limit, 100 * limit), words, **look)
+    for x, side, words, beyond in (
+        (0.0, "left", BEHIND, distance_m < -limit),
+        (1.0, "right", FRONT, distance_m > limit),
+    ):
+        bar.ax.annotate(
+            f"{words}\nbeyond the end: n = {count(beyond.sum())}", (x, 1.0), (0, 3), "axes fraction",
+            "offset points", ha=side, va="bottom", fontsize=7, gid=f"end-{side}",
+        )  # fmt: skip
     figure.align_ylabels(panels)
     return figure
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Points:
-    """What is drawn: places and distances of the points, places of those left out, sizes of the map."""
-
-    place_m: ArrayF
-    distance_m: ArrayF
-    aside_m: ArrayF
-    limit_m: float
-    cell_m: float
-
-
-def _on_bank(table: pd.DataFrame, bank: BankFrame) -> ArrayF:
-    return bank.to_bank(table[["east_m", "north_m", "up_m"]].to_numpy(np.float64))
-
-
-def _scale(pieces: list[Strip]) -> float:
-    """Metres on a millimetre of paper: strips fill the width unless they would be too high."""
-    length_m = max(piece.size_m[0] for piece in pieces)
-    height_m = sum(piece.size_m[1] for piece in pieces)
-    return max(length_m / _DRAWN_MM, height_m / (STRIPS_MM - STRIP_MM * len(pieces)))
 
 
 def view_text(bank: BankFrame) -> str:
@@ -198,7 +177,7 @@ def view_text(bank: BankFrame) -> str:
 
 
 def _subtitle(used: pd.DataFrame, n_border: int, bank: BankFrame, share_beyond: float) -> str:
-    kept = used.loc[~used["outlier"].to_numpy(bool), "distance_m"].to_numpy(np.float64)
+    kept = used.loc[~used["outlier"].to_numpy(bool), "distance_m"].to_numpy()
     first = f"without {count(len(used) - len(kept))} outliers: {statistics_text(kept)}" if kept.size else ""
     beyond = f"beyond the map: {100 * share_beyond:.2g} % of n" if share_beyond else ""
     grey = "light grey: reference without points"
@@ -206,17 +185,6 @@ def _subtitle(used: pd.DataFrame, n_border: int, bank: BankFrame, share_beyond: 
     return "\n".join(
         ["; ".join(filter(None, [first, beyond])), f"seen from the river, {view_text(bank)}", grey]
     )
-
-
-def _share_beyond(pieces: list[Strip], place: ArrayF) -> float:
-    """Share of the points that no strip shows."""
-    shown = np.zeros(len(place), dtype=bool)
-    for piece in pieces:
-        left, right, bottom, top = piece.extent
-        shown |= (
-            (place[:, 0] >= left) & (place[:, 0] <= right) & (place[:, 1] >= bottom) & (place[:, 1] <= top)
-        )
-    return 1.0 - float(np.mean(shown))
 
 
 def _cell_m(place: ArrayF, m_per_mm: float) -> float:
@@ -227,28 +195,6 @@ def _cell_m(place: ArrayF, m_per_mm: float) -> float:
     wanted = max(on_paper, float(np.sqrt(POINTS_IN_CELL / density)))
     low = round_length(wanted)
     return low if low >= 0.999 * wanted else round_length(2.5 * low)
-
-
-def _cells(piece: Strip, place: ArrayF, cell_m: float) -> tuple[ArrayI, tuple[int, int], ArrayF]:
-    """Cell of each point, -1 outside the strip; rows and columns of cells; edges left, right, bottom, top."""
-    left, bottom = piece.along_m[0], piece.up_slope_m[0]
-    columns, rows = (int(np.ceil(size / cell_m)) for size in piece.size_m)
-    column = np.floor((place[:, 0] - left) / cell_m).astype(np.int64)
-    row = np.floor((place[:, 1] - bottom) / cell_m).astype(np.int64)
-    inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
-    index = np.where(inside, row * columns + column, -1)
-    return index, (rows, columns), np.array([left, left + columns * cell_m, bottom, bottom + rows * cell_m])
-
-
-def _medians(index: ArrayI, values: ArrayF, n_cells: int) -> tuple[ArrayF, ArrayI]:
-    """Median and number of the values of each cell; NaN in an empty one."""
-    inside = index >= 0
-    groups = pd.Series(values[inside]).groupby(index[inside], sort=True)
-    out, n = np.full(n_cells, np.nan), np.zeros(n_cells, dtype=np.int64)
-    found = groups.median()
-    out[found.index.to_numpy()] = found.to_numpy()
-    n[found.index.to_numpy()] = groups.size().to_numpy()
-    return out, n
 
 
 def _draw_reference(ax: Axes, caster: RayCaster, piece: Strip, width_px: int = 1600) -> None:
@@ -266,17 +212,29 @@ def _draw_reference(ax: Axes, caster: RayCaster, piece: Strip, width_px: int = 1
     ax.imshow(grey, extent=box, cmap="gray", vmin=0, vmax=1, interpolation="antialiased", gid="reference")
 
 
-def _draw_cells(ax: Axes, piece: Strip, points: _Points) -> None:
+def _draw_cells(
+    ax: Axes, piece: Strip, place: ArrayF, distance_m: ArrayF, aside: ArrayF, limit_m: float, cell_m: float
+) -> None:
     """The median of each cell; dark grey where all points were left out."""
-    index, shape, edges = _cells(piece, points.place_m, points.cell_m)
-    medians, n = _medians(index, points.distance_m, shape[0] * shape[1])
-    aside, _, _ = _cells(piece, points.aside_m, points.cell_m)
-    picture = np.zeros((medians.size, 4))
-    picture[aside[aside >= 0]] = (*LEFT_OUT, 1.0)
-    picture[n > 0] = DISTANCE_MAP(Normalize(-points.limit_m, points.limit_m)(medians[n > 0]))
+    (left, bottom), (columns, rows) = (
+        (piece.along_m[0], piece.up_slope_m[0]),
+        np.ceil(np.array(piece.size_m) / cell_m).astype(int),
+    )
+
+    def cells(points: ArrayF) -> ArrayI:
+        """Cell of each point, -1 outside the strip."""
+        column, row = np.floor((points[:, :2] - [left, bottom]) / cell_m).astype(np.int64).T
+        inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
+        return np.where(inside, row * columns + column, -1)
+
+    index, left_out = cells(place), cells(aside)
+    medians = pd.Series(distance_m[index >= 0]).groupby(index[index >= 0]).median()
+    picture = np.zeros((rows * columns, 4))
+    picture[left_out[left_out >= 0]] = (*LEFT_OUT, 1.0)
+    picture[medians.index] = DISTANCE_MAP(Normalize(-limit_m, limit_m)(medians.to_numpy()))
     ax.imshow(
-        picture.reshape(*shape, 4),
-        extent=tuple(edges),
+        picture.reshape(rows, columns, 4),
+        extent=(left, left + columns * cell_m, bottom, bottom + rows * cell_m),
         origin="lower",
         interpolation="nearest",
         zorder=2,
@@ -284,44 +242,16 @@ def _draw_cells(ax: Axes, piece: Strip, points: _Points) -> None:
     )
 
 
-def _colour_bar(figure: Figure, panels: list[Axes], points: _Points, distance_m: ArrayF) -> None:
-    limit = points.limit_m
-    bar = figure.colorbar(
-        ScalarMappable(Normalize(-100 * limit, 100 * limit), DISTANCE_MAP),
-        ax=panels,
-        location="bottom",
-        aspect=55,
-        shrink=0.8,
-        pad=0.02,
-        extend="both",
-        label=f"signed distance to the reference, median of each cell of {100 * points.cell_m:g} cm / cm",
-    )
-    behind, front = int(np.sum(distance_m < -limit)), int(np.sum(distance_m > limit))
-    for x, side, words, n in ((0.0, "left", BEHIND, behind), (1.0, "right", FRONT, front)):
-        bar.ax.annotate(
-            f"{words}\nbeyond the end: n = {count(n)}",
-            (x, 1.0),
-            xycoords="axes fraction",
-            xytext=(0, 3),
-            textcoords="offset points",
-            ha=side,
-            va="bottom",
-            fontsize=7,
-            gid=f"end-{side}",
-        )
-
-
 def draw_distance_map(
-    *, comparison: Path, mesh: Path, mesh_facts: Path, max_points: int, title: str, twin: bool
+    *, comparison: Path, mesh: Path, mesh_facts: Path, max_points: int, title: str
 ) -> Figure:
     """Comparison and reference mesh -> map of the distances on the bank."""
     table, facts = read_table(comparison, CLOUD_TO_MESH)
     return distance_map(
         table,
         read_mesh(mesh)[0],
-        bank_frame_of(json.loads(mesh_facts.read_text())),
+        bank_frame_of(read_json(mesh_facts)),
         max_distance_m=facts["max_distance_m"],
         max_points=max_points,
         title=f"Distance to the reference: {title}",
-        twin=twin,
     )

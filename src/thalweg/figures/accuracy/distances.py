@@ -1,7 +1,6 @@
 """Distances of a cloud from a reference and errors against a truth: histograms, and by range."""
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -11,8 +10,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullLocator
 from scipy.stats import norm
 
-from thalweg.accuracy import ALL, AS_MEASURED, CLOUD_TO_MESH, WITHOUT_OUTLIERS
-from thalweg.core import ArrayB, ArrayF, CoverageError, InputError, read_table, robust_sigma, root_mean_square
+from thalweg.accuracy import ALL, AS_MEASURED, LEAST, WITHOUT_OUTLIERS
+from thalweg.core import ArrayB, ArrayF, CoverageError, InputError, robust_sigma, root_mean_square
 from thalweg.figures import BLUE, GREY, RED, VERMILION, count, legend_below, new_figure, styled
 from thalweg.surface import BankFrame
 
@@ -129,11 +128,7 @@ def round_limit_m(distance_m: ArrayF) -> float:
 
 @styled
 def distance_histogram(
-    table: pd.DataFrame,
-    *,
-    limit_m: float | None = None,
-    title: str = "Distances of the cloud to the reference",
-    twin: bool = False,
+    table: pd.DataFrame, *, limit_m: float | None = None, title: str = "Distances to the reference"
 ) -> Figure:
     """Histogram, the normal distributions of mean and std and of median and NMAD, and the quantiles beside.
 
@@ -142,7 +137,6 @@ def distance_histogram(
     table : of kind ``cloud_to_mesh``.
     limit_m : distance at both ends of the axis; twice that of the map by default.
     title : first words of the title.
-    twin : true if the digital twin made the data.
 
     Raises
     ------
@@ -150,11 +144,11 @@ def distance_histogram(
     CoverageError : no point was compared.
     """
     used = compared(table)
-    d = used["distance_m"].to_numpy(np.float64)
+    d = used["distance_m"].to_numpy()
     kept = d[~used["outlier"].to_numpy(bool)]
     limit = limit_m or 2.0 * round_limit_m(d)
     head = f"{title}, n = {count(d.size)} points, {statistics_text(d, std=True)}"
-    figure = new_figure(92.0, head, twin=twin)
+    figure = new_figure(92.0, head)
     left, right = figure.subplots(1, 2, width_ratios=[1.75, 1.0])
     _bars(left, d, kept, limit)
     _quantiles(right, d, limit)
@@ -195,7 +189,7 @@ def _bars(ax: Axes, d: ArrayF, kept: ArrayF, limit: float) -> None:
     ax.set_title(f"a: distances and fitted normal distributions\nbeyond the axis: {beyond}")
     ax.set_xlabel("behind  \N{LEFTWARDS ARROW}   signed distance / cm   \N{RIGHTWARDS ARROW}  in front")
     ax.set_ylabel(f"points per {100 * width:.2g} cm")
-    ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: count(int(value))))
+    ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: count(value)))
     ax.grid(axis="y")
     if len(ax.lines) > 1:  # equal distances have no fit
         ax.legend(loc="upper left")
@@ -208,7 +202,7 @@ def _quantiles(ax: Axes, d: ArrayF, limit: float) -> None:
     found = np.quantile(d, norm.cdf(z))
     median, nmad = robust_fit(d)
     ax.axhline(0.0, color="black", lw=0.7, zorder=1)
-    ax.plot(z, 100 * (float(np.mean(d)) + np.std(d) * z), color=VERMILION, lw=1.5, label="normal fit")
+    ax.plot(z, 100 * (np.mean(d) + np.std(d) * z), color=VERMILION, lw=1.5, label="normal fit")
     ax.plot(z, 100 * (median + nmad * z), color=BLUE, lw=1.5, ls="--", label="robust fit")
     ax.plot(z, 100 * found, ".", color="black", ms=2.5, label="distances", gid="quantiles")
     ax.set_ylim(-100 * limit, 100 * limit)
@@ -220,70 +214,23 @@ def _quantiles(ax: Axes, d: ArrayF, limit: float) -> None:
     ax.grid(color=GREY, alpha=0.2)
 
 
-def draw_distance_histogram(*, comparison: Path, title: str, twin: bool) -> Figure:
-    """Comparison with the reference -> histogram of the distances with normal and robust fit."""
-    return distance_histogram(
-        read_table(comparison, CLOUD_TO_MESH)[0], title=f"Distances to the reference: {title}", twin=twin
-    )
-
-
-# ---------------------------------------------------------------- observed and predicted error by range
-
-
-def draw_observed(
-    ax: Axes, range_m: ArrayF, observed: ArrayF, many: ArrayB, *, n_least: int, also: ArrayF
-) -> None:
-    """Errors observed by range class; hollow dots for classes with few points, arrows for what is beyond.
-
-    Sets the limits of the y axis: single classes with few points do not decide about them.
-
-    Parameters
-    ----------
-    ax : where.
-    range_m : (n,) centres of the classes.
-    observed : (n,) in the unit of the axis.
-    many : (n,) true for classes with at least ``n_least`` points.
-    n_least : for the legend.
-    also : values that have to be on the axis too.
-    """
-    ax.plot(range_m, observed, color=BLUE, lw=0.8, zorder=3)
-    ax.plot(range_m[many], observed[many], "o", color=BLUE, label="observed", zorder=4)
-    if not many.all():
-        ax.plot(
-            range_m[~many],
-            observed[~many],
-            "o",
-            color=BLUE,
-            mfc="white",
-            zorder=4,
-            label=f"observed, fewer than {n_least} points",
-        )
-    top = max(float(np.nanmax(also)), float(np.nanmax(observed[many] if many.any() else observed)))
-    ax.set_ylim(0, 1.3 * top if top > 0 else 1.0)
-    above = observed > ax.get_ylim()[1]
-    if above.any():
-        ax.plot(
-            range_m[above],
-            np.full(int(above.sum()), 0.97 * ax.get_ylim()[1]),
-            "^",
-            color=BLUE,
-            mfc="white",
-            label=f"beyond the axis, n = {int(above.sum())}",
-        )
-
-
 # ---------------------------------------------------------------- observed and predicted distances by range
 # (P2 Fig. 16b)
+
+
+def outlier_rule(nmads: float | None) -> str:
+    """A further line of a title: which points count as outliers."""
+    if nmads is None:
+        return ""
+    return f"\nwithout points whose distance over its sigma is farther than {nmads:g} NMAD from the median"
 
 
 @styled
 def distance_by_range(
     table: pd.DataFrame,
     *,
-    n_least: int = 30,
-    outlier_rule: str = "",
+    outlier_nmads: float | None = None,
     title: str = "Distance to the reference by range",
-    twin: bool = False,
 ) -> Figure:
     """RMSE observed and predicted by range class, points per class in red, and predicted over observed.
 
@@ -294,26 +241,23 @@ def distance_by_range(
         ``rmse_predicted_3d_m`` (P2 eq. 9), ``ratio`` (predicted over observed), ``ratio_low95`` and
         ``ratio_high95`` (band of the class), ``inside`` (is it in its band?); of a column ``registration``
         the rows "as measured" are drawn.
-    n_least : classes with fewer points are drawn hollow: their RMSE is uncertain.
-    outlier_rule : sentence on what the outlier rule is.
+    outlier_nmads : limit of the outlier rule; None: there is none.
     title : first words of the title.
-    twin : true if the digital twin made the data.
 
     Raises
     ------
     InputError : a column is missing, or no row is left.
     """
     kept, everything = _rows(table)
-    r, n = kept["range_m"].to_numpy(np.float64), kept["n"].to_numpy(np.int64)
+    r, n = kept["range_m"].to_numpy(), kept["n"].to_numpy(np.int64)
     observed, normal, full = (
-        1e3 * kept[f"rmse_{name}_m"].to_numpy(np.float64)
-        for name in ("observed", "predicted", "predicted_3d")
+        1e3 * kept[f"rmse_{name}_m"].to_numpy() for name in ("observed", "predicted", "predicted_3d")
     )
-    many = n >= n_least
-    figure = new_figure(122.0, f"{title}, n = {count(int(n.sum()))} points", twin=twin)
+    many = n >= LEAST
+    figure = new_figure(122.0, f"{title}, n = {count(n.sum())} points")
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[2.5, 1.0])
-    _draw_rmse(upper, r, observed, normal, full, many, n_least, everything)
-    upper.set_title("\n".join(filter(None, ["distance along the normal of the reference", outlier_rule])))
+    _draw_rmse(upper, r, observed, normal, full, many, everything)
+    upper.set_title(f"distance along the normal of the reference{outlier_rule(outlier_nmads)}")
     _draw_counts(upper, r, n)
     _draw_ratio(lower, kept, many)
     legend_below(figure, upper)
@@ -339,13 +283,25 @@ def _draw_rmse(
     normal: ArrayF,
     full: ArrayF,
     many: ArrayB,
-    n_least: int,
     everything: pd.DataFrame,
 ) -> None:
     ax.plot(r, full, color=GREY, lw=1.4, ls=":", label="predicted, all three components (P2 eq. 9)", gid="3d")
     words = "predicted, normal component and reference"
     ax.plot(r, normal, color=VERMILION, lw=1.6, ls="--", label=words, gid="normal")
-    draw_observed(ax, r, observed, many, n_least=n_least, also=np.concatenate([normal, full]))
+    ax.plot(r, observed, color=BLUE, lw=0.8, zorder=3)
+    ax.plot(r[many], observed[many], "o", color=BLUE, label="observed", zorder=4)
+    hollow = {"color": BLUE, "mfc": "white"}
+    if not many.all():
+        few = f"observed, fewer than {LEAST} points"
+        ax.plot(r[~many], observed[~many], "o", **hollow, zorder=4, label=few)
+    # single classes with few points do not decide about the axis
+    certain = observed[many] if many.any() else observed
+    top = float(np.nanmax(np.concatenate([normal, full, certain])))
+    ax.set_ylim(0, 1.3 * top if top > 0 else 1.0)
+    above = observed > ax.get_ylim()[1]
+    if above.any():
+        words = f"beyond the axis, n = {above.sum()}"
+        ax.plot(r[above], np.full(above.sum(), 0.97 * ax.get_ylim()[1]), "^", **hollow, label=words)
     if len(everything):
         ax.plot(
             everything["range_m"],
@@ -365,9 +321,9 @@ def _draw_counts(ax: Axes, r: ArrayF, n: ArrayF) -> None:
     right = ax.twinx()
     right.step(r, n, where="mid", color=RED, lw=0.9, gid="counts")
     # The curves of the errors keep the upper part of the panel.
-    right.set_ylim(0.0, 2.2 * float(n.max()))
+    right.set_ylim(0.0, 2.2 * n.max())
     right.yaxis.set_major_locator(MaxNLocator(5, integer=True))
-    right.yaxis.set_major_formatter(FuncFormatter(lambda value, _: count(int(value))))
+    right.yaxis.set_major_formatter(FuncFormatter(lambda value, _: count(value)))
     right.set_ylabel("points per class of 1 m", color=RED)
     right.tick_params(axis="y", colors=RED, labelcolor=RED)
     right.spines["right"].set_visible(True)
@@ -377,8 +333,8 @@ def _draw_counts(ax: Axes, r: ArrayF, n: ArrayF) -> None:
 
 
 def _draw_ratio(ax: Axes, kept: pd.DataFrame, many: ArrayB) -> None:
-    r = kept["range_m"].to_numpy(np.float64)
-    ratio, low, high = (kept[name].to_numpy(np.float64) for name in ("ratio", "ratio_low95", "ratio_high95"))
+    r = kept["range_m"].to_numpy()
+    ratio, low, high = (kept[name].to_numpy() for name in ("ratio", "ratio_low95", "ratio_high95"))
     shown, outside = np.isfinite(ratio), ~kept["inside"].to_numpy(bool)
     ax.fill_between(r, low, high, step="mid", color=VERMILION, alpha=0.15, lw=0, gid="band")
     ax.axhline(1.0, color=VERMILION, lw=1.0, ls="--")
@@ -388,7 +344,7 @@ def _draw_ratio(ax: Axes, kept: pd.DataFrame, many: ArrayB) -> None:
     values = np.concatenate([ratio[shown], low[many], high[many], [0.5, 2.0]])
     values = np.clip(values[np.isfinite(values) & (values > 0)], 1.0 / MOST_RATIO, MOST_RATIO)
     ax.set_yscale("log", base=2)
-    ax.set_ylim(0.9 * float(values.min()), 1.1 * float(values.max()))
+    ax.set_ylim(0.9 * values.min(), 1.1 * values.max())
     ax.yaxis.set_major_locator(FixedLocator([0.25, 0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0]))
     ax.yaxis.set_minor_locator(NullLocator())
     ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
@@ -396,14 +352,3 @@ def _draw_ratio(ax: Axes, kept: pd.DataFrame, many: ArrayB) -> None:
     n_outside = int(outside.sum())
     words = f"ringed: {n_outside} of {len(r)} classes outside" if n_outside else f"all {len(r)} inside"
     ax.set_title(f"shaded: 95 % acceptance band for the ratio of a class; {words}", fontsize="small")
-
-
-def draw_distance_by_range(*, by_range: Path, outlier_nmads: float, title: str, twin: bool) -> Figure:
-    """Range classes of the comparison with the reference -> observed against predicted distances."""
-    return distance_by_range(
-        pd.read_csv(by_range),
-        outlier_rule=f"without points whose distance over its sigma is farther than {outlier_nmads:g} NMAD "
-        "from the median",
-        title=f"Distance to the reference by range: {title}",
-        twin=twin,
-    )

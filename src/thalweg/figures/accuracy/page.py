@@ -1,6 +1,5 @@
 """One page on the accuracy of a cloud: the verdict first, then what it rests on, then its limits."""
 
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -11,13 +10,12 @@ import pandas as pd
 from thalweg.accuracy import (
     ALL,
     AS_MEASURED,
-    CLOUD_TO_MESH,
     REGISTERED,
     WITHOUT_OUTLIERS,
     classes_in_words,
     verdict_of_ratio,
 )
-from thalweg.core import InputError, read_table, utc_text_from_gps
+from thalweg.core import InputError, utc_text_from_gps
 from thalweg.figures import Finding, Page, count
 from thalweg.figures.accuracy.distances import centimetres
 
@@ -86,7 +84,7 @@ def head(facts: Mapping[str, Any], statistics: pd.DataFrame) -> tuple[str, list[
     told = verdict_of_ratio(*band)
     certain = abs(mean) > 2 * value_of(statistics, "sigma_of_bias")
     findings = [
-        Finding("points compared", f"{count(int(n_all))}, {100.0 * (1.0 - n / n_all):.1f} % outliers"),
+        Finding("points compared", f"{count(n_all)}, {100.0 * (1.0 - n / n_all):.1f} % outliers"),
         Finding("RMSE of the distances, without outliers", centimetres(rmse)),
         Finding(
             "predicted by their standard deviations",
@@ -120,7 +118,7 @@ def verdict(facts: Mapping[str, Any], statistics: pd.DataFrame) -> list[str]:
         raise InputError("statistics without compared points", expected=f"rows '{AS_MEASURED}', '{ALL}'")
     n, out = value_of(statistics, "n"), value_of(statistics, "outliers")
     words = [
-        f"{count(int(n_all))} points of the cloud were compared with the reference. Without the "
+        f"{count(n_all)} points of the cloud were compared with the reference. Without the "
         f"{100.0 * (1.0 - n / n_all):.1f} % of them that are outliers, the distances have an RMSE of "
         f"{centimetres(rmse)}, 95 % of them are smaller than {centimetres(value_of(statistics, 'p95'))}, and "
         f"on average the cloud lies {centimetres(abs(mean))} {'in front of' if mean > 0 else 'behind'} the "
@@ -400,45 +398,6 @@ def accuracy_page(
     return page
 
 
-def write_accuracy_page(
-    *,
-    comparison: Path,
-    statistics: Path,
-    by_range: Path,
-    registration: Path,
-    mesh_facts: Path,
-    error_model: Path,
-    truth: list[Path],
-    pictures: list[Path],
-    captions: dict[str, str],
-    title: str,
-    twin: bool,
-    page: Path,
-) -> None:
-    """The same from files, as the workflow has them; see `accuracy_page`.
-
-    Parameters
-    ----------
-    comparison : distances of the cloud (Parquet), whose metadata hold the facts.
-    truth : none, or one table.
-    title : of the campaign.
-    page : target.
-    """
-    accuracy_page(
-        read_table(comparison, CLOUD_TO_MESH)[1],
-        pd.read_csv(statistics),
-        pd.read_csv(by_range),
-        json.loads(registration.read_text()),
-        json.loads(mesh_facts.read_text()),
-        pictures=pictures,
-        captions=captions,
-        truth=pd.read_csv(truth[0]) if truth else None,
-        error_model=json.loads(error_model.read_text()),
-        title=f"Accuracy of the cloud: {title}",
-        twin=twin,
-    ).write(page)
-
-
 def pivot(
     table: pd.DataFrame, by: Sequence[str], columns: Sequence[tuple[str, str, str, float]]
 ) -> tuple[pd.DataFrame, dict[str, str]]:
@@ -482,7 +441,7 @@ def _statistics(page: Page, facts: Mapping[str, Any], statistics: pd.DataFrame, 
         | {name: factor * value_of(statistics, quantity, name) for name in (ALL, WITHOUT_OUTLIERS)}
         for quantity, words, unit, factor in PARTS
     ]
-    page.table(pd.DataFrame(rows), "Mean, robust ratio, and squared errors over variances")
+    page.table(rows, "Mean, robust ratio, and squared errors over variances")
     page.table(
         *_with_caption(statistics, by, SHAPE, "Shape; a normal has 68.3, 95.4, 99.7 % and zero"), digits=3
     )
@@ -546,7 +505,7 @@ def _registration(page: Page, registration: Mapping[str, Any]) -> None:
         for axis in values
     ]
     caption = "Motion of the cloud onto the reference, about the middle of its points"
-    page.table(pd.DataFrame(rows), caption)
+    page.table(rows, caption)
     changes = []
     for points, change in registration["change"].items():
         row: dict[str, Any] = {"points": points}
@@ -580,7 +539,7 @@ def _error_model(page: Page, model: Mapping[str, Any]) -> None:
         }
         for name, e in model["estimates"].items()
     ]
-    page.table(pd.DataFrame(rows), "Factors on stated sigmas, and correlation times in seconds")
+    page.table(rows, "Factors on stated sigmas, and correlation times in seconds")
     for note in model["notes"]:
         page.text(str(note))
 
@@ -605,25 +564,25 @@ def _compared(page: Page, facts: Mapping[str, Any], mesh_facts: Mapping[str, Any
             for name, n in counts.items()
         ]
         if rows:
-            page.table(pd.DataFrame(rows), caption, {"share": "%"})
+            page.table(rows, caption, {"share": "%"})
     rows = [
         {
             "quantity": words,
-            "value": f"{mesh_facts[name]:.4g}" if unit != "1" else count(int(mesh_facts[name])),
+            "value": f"{mesh_facts[name]:.4g}" if unit != "1" else count(mesh_facts[name]),
             "unit": "" if unit == "1" else unit,
         }
         for name, words, unit in MESH_IN_WORDS
         if name in mesh_facts
     ]
     if rows:
-        page.table(pd.DataFrame(rows), f"The reference surface (method {mesh_facts.get('method', '?')})")
+        page.table(rows, f"The reference surface (method {mesh_facts.get('method', '?')})")
     lost = [
         {"class": name.replace("_", " "), "n": int(n)}
         for name, n in mesh_facts.get("ingest_losses", {}).items()
         if n
     ]
     if lost:
-        page.table(pd.DataFrame(lost), "Lost while the reference was read")
+        page.table(lost, "Lost while the reference was read")
     for note in (*mesh_facts.get("ingest_notes", []), *mesh_facts.get("notes", [])):
         page.text(str(note))
 

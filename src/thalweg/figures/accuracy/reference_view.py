@@ -1,20 +1,18 @@
 """The terrestrial scan as it looks from one place (P2 Fig. 7), and a plan of where it lies."""
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, Self
+from typing import Final, Self
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.cm import ScalarMappable
-from matplotlib.colors import Normalize, to_rgb
+from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.patches import Wedge
 from matplotlib.ticker import FuncFormatter
 
-from thalweg.core import AnyArray, ArrayF, GeometryError, Trajectory, iter_laz
+from thalweg.core import AnyArray, ArrayF, GeometryError, Trajectory, iter_laz, read_json
 from thalweg.figures import (
     BLUE,
     GREEN,
@@ -26,11 +24,13 @@ from thalweg.figures import (
     SKY,
     VERMILION,
     WIDTH_MM,
+    colour_bar,
     count,
     legend_below,
     marks_in_free_corners,
     new_figure,
     robust_limits,
+    show_plan,
     styled,
 )
 from thalweg.figures.cloud import Splat, choose_segment
@@ -45,6 +45,16 @@ NEAREST_M: Final = 3.0
 
 LEAST_WIDTH_RAD: Final = np.deg2rad(40.0)
 """The view is at least as wide as this, if the cloud is."""
+
+KEEP: Final = 0.97
+"""Share of a sample within the picture along each axis."""
+
+MARGIN: Final = 0.01
+"""Free border, as a share of the width."""
+
+LEAST_SHAPE: Final = 0.2
+"""Least height over width. A long low bank is cut on both sides of its middle: at the ends it is seen along
+itself, and the picture would be a thin strip."""
 
 MOST_WIDTH_RAD: Final = np.deg2rad(110.0)
 """The view is not wider: farther aside a bank is seen along itself."""
@@ -69,7 +79,6 @@ class PanoramaView:
     pixel_rad : size of a pixel both ways.
     width_px, height_px : size of the picture.
     distance_m : typical distance of the scene.
-    nearest_m : points nearer than this are not drawn.
     """
 
     viewpoint_wcs_m: ArrayF
@@ -79,7 +88,6 @@ class PanoramaView:
     width_px: int
     height_px: int
     distance_m: float
-    nearest_m: float = NEAREST_M
 
     @property
     def pixel_m(self) -> float:
@@ -97,7 +105,7 @@ class PanoramaView:
         """Column, row (pixel units, 0 at the upper left corner) and distance in metres, shape (n, 3)."""
         azimuth, elevation, distance = angles_from(self.viewpoint_wcs_m, points_wcs_m)
         column = np.mod(azimuth - self.left_rad, 2 * np.pi) / self.pixel_rad
-        near = np.where(distance >= self.nearest_m, distance, np.nan)
+        near = np.where(distance >= NEAREST_M, distance, np.nan)
         return np.stack([column, (self.top_rad - elevation) / self.pixel_rad, near], axis=1)
 
     @classmethod
@@ -108,9 +116,6 @@ class PanoramaView:
         *,
         azimuth_rad: float | None = None,
         width_px: int = 1800,
-        keep: float = 0.97,
-        margin: float = 0.01,
-        least_shape: float = 0.2,
     ) -> Self:
         """The view from a point that shows a cloud.
 
@@ -120,10 +125,6 @@ class PanoramaView:
         viewpoint_wcs_m : (3,) where the viewer is.
         azimuth_rad : middle of the picture if the view has to be cut; that of the points by default.
         width_px : width of the picture.
-        keep : share of the sample within the picture along each axis.
-        margin : free border, as a share of the width.
-        least_shape : least height over width. A long low bank is cut on both sides of its middle: at the ends
-            it is seen along itself, and the picture would be a thin strip.
 
         Raises
         ------
@@ -139,11 +140,11 @@ class PanoramaView:
         azimuth, elevation, distance = azimuth[seen], elevation[seen], distance[seen]
         middle = float(np.arctan2(np.sin(azimuth).mean(), np.cos(azimuth).mean()))
         aside = np.mod(azimuth - middle + np.pi, 2 * np.pi) - np.pi
-        tail = 50.0 * (1.0 - keep)
+        tail = 50.0 * (1.0 - KEEP)
         low, high, centre = (float(v) for v in np.percentile(aside, [tail, 100.0 - tail, 50.0]))
         bottom, top = (float(v) for v in np.percentile(elevation, [0.3, 99.9]))
-        wide = max(high - low, 1e-3) * (1 + 2 * margin)
-        most = float(np.clip((top - bottom) / least_shape, LEAST_WIDTH_RAD, MOST_WIDTH_RAD))
+        wide = max(high - low, 1e-3) * (1 + 2 * MARGIN)
+        most = float(np.clip((top - bottom) / LEAST_SHAPE, LEAST_WIDTH_RAD, MOST_WIDTH_RAD))
         if wide > most:
             wide = most
             if azimuth_rad is not None:
@@ -160,7 +161,7 @@ class PanoramaView:
         else:
             centre = 0.5 * (low + high)
         pixel = wide / width_px
-        high_px = int(np.clip(np.ceil((top - bottom) / pixel + 2 * margin * width_px), 8, width_px))
+        high_px = int(np.clip(np.ceil((top - bottom) / pixel + 2 * MARGIN * width_px), 8, width_px))
         return cls(
             viewpoint_wcs_m=np.asarray(viewpoint_wcs_m, dtype=np.float64),
             left_rad=float(np.mod(middle + centre - 0.5 * wide, 2 * np.pi)),
@@ -179,9 +180,7 @@ def angles_from(viewpoint_wcs_m: ArrayF, points_wcs_m: ArrayF) -> tuple[ArrayF, 
     return np.arctan2(east, north), np.arctan2(up, level), np.hypot(level, up)
 
 
-def viewpoint_on_track(
-    sample_wcs_m: ArrayF, trajectory: Trajectory, *, eye_m: float = EYE_M
-) -> tuple[ArrayF, float]:
+def viewpoint_on_track(sample_wcs_m: ArrayF, trajectory: Trajectory) -> tuple[ArrayF, float]:
     """A place on the boat's track opposite the densest part of a cloud, and the direction of view.
 
     Files of scans seldom tell where the scanner stood, and a merged cloud has no one centre. The river is
@@ -192,7 +191,6 @@ def viewpoint_on_track(
     ----------
     sample_wcs_m : (n, 3) the reference cloud or an even sample of it.
     trajectory : track of the boat.
-    eye_m : height of the viewer above the ics origin.
 
     Returns
     -------
@@ -215,7 +213,7 @@ def viewpoint_on_track(
         if near.any()
         else int(np.argmin(abreast))
     )
-    return np.asarray(track[best] + np.array([0.0, 0.0, eye_m])), bank.azimuth_rad
+    return np.asarray(track[best] + np.array([0.0, 0.0, EYE_M])), bank.azimuth_rad
 
 
 @styled
@@ -223,14 +221,12 @@ def reference_view(
     splat: Splat[PanoramaView],
     sample_wcs_m: ArrayF,
     source: AnyArray,
-    trajectory: Trajectory | None = None,
+    trajectory: Trajectory,
     *,
-    shown: int | None = None,
-    names: Mapping[int, str] | None = None,
-    counts: Mapping[int, int] | None = None,
-    what: str = "intensity as the files state it",
+    shown: int,
+    names: Mapping[int, str],
+    counts: Mapping[int, int],
     title: str = "Terrestrial laser scan",
-    twin: bool = False,
 ) -> Figure:
     """Panorama of equal angles, and a plan of the scans and the viewpoint.
 
@@ -240,12 +236,10 @@ def reference_view(
     sample_wcs_m : (n, 3) even sample of all scans, for the plan.
     source : (n,) number of the scan of each point of the sample.
     trajectory : track of the boat, for the plan.
-    shown : number of the scan in the panorama; None if all are.
-    names : number of a scan -> its name.
-    counts : number of a scan -> its points; those of the sample if left out.
-    what : what the brightness shows, with its unit.
+    shown : number of the scan in the panorama.
+    names : number of a scan -> its name; others have their number.
+    counts : number of a scan -> its points.
     title : first words of the title.
-    twin : true if the digital twin made the data.
 
     Raises
     ------
@@ -256,45 +250,28 @@ def reference_view(
             f"none of {splat.n_added} points lies in the panorama", expected="a view that meets the scan"
         )
     view = splat.view
-    known = names or {}
-    name = "all scans" if shown is None else f"scan {known.get(shown, str(shown))}"
-    head = f"{title}, {name}, n = {count(splat.n_drawn)} of {count(splat.n_added)} points"
+    of_all = f"n = {count(splat.n_drawn)} of {count(splat.n_added)} points"
     tall = float(np.clip(0.86 * WIDTH_MM * view.height_px / view.width_px, 22.0, 120.0))
-    figure = new_figure(tall + _MAP_MM + 36.0, head, twin=twin)
+    figure = new_figure(tall + _MAP_MM + 36.0, f"{title}, scan {names.get(shown, shown)}, {of_all}")
     upper, lower = figure.subplots(2, 1, height_ratios=[tall + 14.0, _MAP_MM])
-    _draw_panorama(figure, upper, splat, what)
-    numbers, n = np.unique(source, return_counts=True)
-    labels = {
-        int(k): f"scan {known.get(int(k), k)}, n = "
-        + (count(counts[int(k)]) if counts is not None else f"{count(int(m))} sampled")
-        for k, m in zip(numbers, n, strict=True)
-    }
-    _draw_plan(lower, view, sample_wcs_m, np.asarray(source), trajectory, labels)
+    _draw_panorama(upper, splat)
+    _draw_plan(lower, view, sample_wcs_m, source, trajectory, names, counts)
     legend_below(figure, lower)
     return figure
 
 
-def _draw_panorama(figure: Figure, ax: Axes, splat: Splat[PanoramaView], what: str) -> None:
-    view = splat.view
+def _draw_panorama(ax: Axes, splat: Splat[PanoramaView]) -> None:
     radius = splat.radius_px()
-    values = splat.buffers(radius)[1]
-    limits = robust_limits(values, 1.0, 99.0)
+    limits = robust_limits(splat.buffers(radius)[1], 1.0, 99.0)
     table = REFLECTANCE_MAP(np.linspace(0.0, 1.0, 256))[:, :3]
     picture = splat.image(table, limits, radius_px=radius, shading=0.35, background=(0.0, 0.0, 0.0))
-    ax.imshow(picture, extent=view.extent_deg, interpolation="antialiased", gid="panorama", aspect="equal")
-    ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value % 360:g}"))
-    ax.set_xlabel("azimuth, clockwise from north / °")
-    ax.set_ylabel("elevation / °")
-    figure.colorbar(
-        ScalarMappable(Normalize(*limits), REFLECTANCE_MAP),
-        ax=ax,
-        label=what,
-        location="bottom",
-        pad=0.02,
-        aspect=50,
-        shrink=0.7,
-        extend="both",
+    ax.imshow(
+        picture, extent=splat.view.extent_deg, interpolation="antialiased", gid="panorama", aspect="equal"
     )
+    ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value % 360:g}"))
+    ax.set(xlabel="azimuth, clockwise from north / °", ylabel="elevation / °")
+    look = {"location": "bottom", "pad": 0.02, "aspect": 50, "shrink": 0.7, "extend": "both"}
+    colour_bar(ax, REFLECTANCE_MAP, limits, "intensity as the files state it", **look)
 
 
 def _draw_plan(
@@ -302,43 +279,35 @@ def _draw_plan(
     view: PanoramaView,
     sample: ArrayF,
     source: AnyArray,
-    trajectory: Trajectory | None,
-    labels: Mapping[int, str],
+    trajectory: Trajectory,
+    names: Mapping[int, str],
+    counts: Mapping[int, int],
 ) -> None:
     eye = view.viewpoint_wcs_m
-    track = trajectory.position_wcs_m[:, :2].copy() if trajectory is not None else eye[None, :2]
-    if trajectory is not None:
-        track[~trajectory.valid] = np.nan
-    low, high = map_extent(np.concatenate([track[np.isfinite(track[:, 0])], eye[None, :2]]), sample)
+    track = np.where(trajectory.valid[:, None], trajectory.position_wcs_m[:, :2], np.nan)
+    places = np.concatenate([track[trajectory.valid], eye[None, :2]])
     step = max(1, len(sample) // MAP_POINTS)
     points, which = sample[::step, :2], source[::step]
     # A fixed shuffle: no scan lies on top of the others.
     order = np.argsort((np.arange(len(points)) * 2_654_435_761) % 2**32)
-    colours = {k: STATION_COLOURS[i % len(STATION_COLOURS)] for i, k in enumerate(labels)}
-    look: dict[str, Any] = {"c": [colours[int(k)] for k in which[order]], "s": 0.5, "lw": 0, "alpha": 0.6}
-    ax.scatter(*points[order].T, **look, rasterized=True, gid="scans")
-    for k, label in labels.items():
-        ax.plot([], [], "s", color=colours[k], label=label)
-    if trajectory is not None:
-        ax.plot(*track.T, color="black", lw=0.9, label="track of the boat", gid="track", path_effects=HALO)
-    label = "viewpoint of the upper picture" + (", on the track" if trajectory is not None else "")
-    ax.plot(eye[0], eye[1], "^", ms=7, mfc=RED, mec="white", mew=0.8, zorder=6, label=label, gid="viewpoint")
+    colours = {int(k): STATION_COLOURS[i % len(STATION_COLOURS)] for i, k in enumerate(np.unique(source))}
+    drawn = [colours[int(k)] for k in which[order]]
+    ax.scatter(*points[order].T, c=drawn, s=0.5, lw=0, alpha=0.6, rasterized=True, gid="scans")
+    for k, colour in colours.items():
+        ax.plot([], [], "s", color=colour, label=f"scan {names.get(k, k)}, n = {count(counts[k])}")
+    ax.plot(*track.T, color="black", lw=0.9, label="track of the boat", gid="track", path_effects=HALO)
+    label = "viewpoint of the upper picture, on the track"
+    ax.plot(*eye[:2], "^", ms=7, mfc=RED, mec="white", mew=0.8, zorder=6, label=label, gid="viewpoint")
     left, right, _, _ = view.extent_deg
     # Wedges turn anticlockwise from east, azimuths clockwise from north.
-    sector = Wedge((float(eye[0]), float(eye[1])), 1.3 * view.distance_m, 90.0 - right, 90.0 - left)
+    sector = Wedge(tuple(eye[:2]), 1.3 * view.distance_m, 90.0 - right, 90.0 - left)
     sector.set(facecolor=(*to_rgb(RED), 0.1), edgecolor=RED, linewidth=0.8, zorder=2, gid="sector")
     ax.add_patch(sector)
-    ax.set_aspect("equal")
-    ax.set_xlim(low[0], high[0])
-    ax.set_ylim(low[1], high[1])
-    ax.set_xlabel("east / m")
-    ax.set_ylabel("north / m")
-    marks_in_free_corners(ax, np.concatenate([points, track[np.isfinite(track[:, 0])], eye[None, :2]]))
+    show_plan(ax, *map_extent(places, sample))
+    marks_in_free_corners(ax, np.concatenate([points, places]))
 
 
-def draw_reference_view(
-    *, reference: Path, integrity: Path, trajectory: Path, title: str, twin: bool
-) -> Figure:
+def draw_reference_view(*, reference: Path, integrity: Path, trajectory: Path, title: str) -> Figure:
     """Reference cloud and trajectory -> the terrestrial scan as it looks from the river."""
     sample, track = sample_cloud(reference, 500_000), Trajectory.read(trajectory)
     source = sample["point_source_id"]
@@ -353,7 +322,7 @@ def draw_reference_view(
         n += np.bincount(chunk["point_source_id"], minlength=len(n))
         part = chunk["point_source_id"] == shown
         splat.add(chunk["xyz_m"][part], chunk["intensity"][part])
-    files = json.loads(integrity.read_text())["files"]
+    files = read_json(integrity)["files"]
     return reference_view(
         splat,
         sample["xyz_m"],
@@ -363,5 +332,4 @@ def draw_reference_view(
         counts=dict(enumerate(n.tolist())),
         names={number: Path(file).stem for number, file in enumerate(files, start=1)},
         title=f"Terrestrial laser scan: {title}",
-        twin=twin,
     )

@@ -1,6 +1,5 @@
 """One page on the riverbed: how deep, how sure, what it rests on, what was left out."""
 
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -26,7 +25,7 @@ def bed_page(
     pictures: Sequence[Path],
     captions: Mapping[str, str],
     truth: pd.DataFrame | None = None,
-    title: str,
+    title: str = "Riverbed",
     twin: bool,
 ) -> Page:
     """The page of a riverbed.
@@ -220,41 +219,6 @@ def _light_sheet(found: Mapping[str, Any]) -> str:
     if found["light sheet left out"]:
         return where + ": one of both is wrong or shows another bed. They have no part in this one."
     return where + " and are part of it."
-
-
-def write_bed_page(
-    *,
-    facts: Path,
-    variogram: Path,
-    level: Path,
-    banks: Path,
-    validation: Path,
-    methods: Path,
-    river: Path,
-    fit: Path,
-    truth: list[Path],
-    pictures: list[Path],
-    captions: dict[str, str],
-    title: str,
-    twin: bool,
-    page: Path,
-) -> None:
-    """The same from files, as the workflow has them; `truth`: none or one, `title`: of the campaign."""
-    bed_page(
-        json.loads(facts.read_text()),
-        json.loads(variogram.read_text()),
-        json.loads(level.read_text()),
-        pd.read_csv(banks),
-        json.loads(validation.read_text()),
-        pd.read_csv(methods),
-        json.loads(river.read_text()),
-        json.loads(fit.read_text()),
-        pictures=pictures,
-        captions=captions,
-        truth=pd.read_csv(truth[0]) if truth else None,
-        title=f"Riverbed: {title}",
-        twin=twin,
-    ).write(page)
 
 
 _METHODS = {

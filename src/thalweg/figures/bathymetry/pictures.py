@@ -1,6 +1,5 @@
 """Pictures of the riverbed: soundings and their reasons, errors over depth, the bed, sections."""
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
@@ -16,7 +15,16 @@ from scipy.ndimage import map_coordinates
 from scipy.stats import norm
 
 from thalweg.bathymetry import OBSERVATIONS, SOUNDINGS, Banks, FlowLine, WaterLevel
-from thalweg.core import ArrayF, Grid, LocalFrame, read_parquet, read_raster, read_table, utc_text_from_gps
+from thalweg.core import (
+    ArrayF,
+    Grid,
+    LocalFrame,
+    read_json,
+    read_parquet,
+    read_raster,
+    read_table,
+    utc_text_from_gps,
+)
 from thalweg.figures import (
     BLUE,
     DEPTH_MAP,
@@ -48,11 +56,6 @@ REASON_STYLE: Final[dict[str, tuple[str, str]]] = {
     "by hand": (PURPLE, "*"),
 }
 """Colour and marker of soundings that do not count; those without depth or time cannot be drawn."""
-_PARTS: Final = (
-    ("sigma_white_m", "random", BLUE, "-"),
-    ("sigma_slow_m", "time-correlated (trajectory)", ORANGE, "--"),
-    ("sigma_common_m", "systematic", GREEN, "-."),
-)
 _SECTIONS: Final = 6
 _LINES: Final = 24
 _MARGIN_M: Final = 8.0
@@ -61,7 +64,7 @@ _POINTS: Final = 60_000
 
 
 @styled
-def draw_sounding_lines(*, soundings: Path, title: str, twin: bool) -> Figure:
+def draw_sounding_lines(*, soundings: Path, title: str) -> Figure:
     """Each line of soundings by itself, those that do not count marked by their reason."""
     table = read_table(soundings, SOUNDINGS)[0]
     table = table[np.isfinite(table["t_gps_s"]) & (table["range_m"] > 0)].sort_values("t_gps_s")
@@ -73,7 +76,7 @@ def draw_sounding_lines(*, soundings: Path, title: str, twin: bool) -> Figure:
     columns = min(len(lines), 3)
     rows = -(-len(lines) // max(columns, 1))
     words = f"Lines of soundings: {title}, n = {of_all}"
-    figure = new_figure(max(26.0 + 27.0 * rows, 70.0), words, twin=twin)
+    figure = new_figure(max(26.0 + 27.0 * rows, 70.0), words)
     axes = figure.subplots(rows, columns, squeeze=False).ravel()
     for ax, k in zip(axes, lines.tolist(), strict=False):
         of = table[number == k]
@@ -96,40 +99,6 @@ def draw_sounding_lines(*, soundings: Path, title: str, twin: bool) -> Figure:
 
 
 @styled
-def draw_sounding_errors(*, soundings: Path, title: str, twin: bool) -> Figure:
-    """Standard deviation of the height of a sounding over depth, by its parts."""
-    table = read_table(soundings, SOUNDINGS)[0]
-    table = table[table["used"]]
-    depth = table["depth_m"].to_numpy()
-    edges = np.linspace(depth.min(), depth.max() + 1e-9, 13)
-    number = np.digitize(depth, edges) - 1
-    figure = new_figure(72.0, f"Error of a sounding over depth: {title}, n = {count(len(table))}", twin=twin)
-    ax = figure.subplots()
-    middle, total = [], np.zeros(len(table))
-    taken = [k for k in range(12) if np.sum(number == k) >= 3]
-    middle = [float(np.median(depth[number == k])) for k in taken]
-    for name, label, colour, style in _PARTS:
-        value = table[name].to_numpy()
-        total += value**2
-        ax.plot(
-            middle, [100 * np.median(value[number == k]) for k in taken], color=colour, ls=style, label=label
-        )
-    ax.plot(
-        middle,
-        [100 * np.median(np.sqrt(total[number == k])) for k in taken],
-        color="black",
-        lw=1.8,
-        label="all",
-    )
-    horizontal = [100 * np.median(table["sigma_horizontal_m"].to_numpy()[number == k]) for k in taken]
-    ax.plot(middle, horizontal, color=PURPLE, ls=":", label="horizontal, each coordinate")
-    ax.set_ylim(0.0)
-    ax.set(xlabel="depth below the water / m", ylabel="standard deviation / cm,\nmedian of a class")
-    legend_below(figure, ax)
-    return figure
-
-
-@styled
 def draw_bed_map(
     *,
     bed: Path,
@@ -141,7 +110,6 @@ def draw_bed_map(
     crs: str,
     origin: Mapping[str, Any],
     title: str,
-    twin: bool,
 ) -> Figure:
     """Depth of the bed and its standard deviation from above, with soundings and clouds (P1 Fig. 6)."""
     frame, onto = LocalFrame(**origin), CRS.from_user_input(crs)
@@ -154,7 +122,7 @@ def draw_bed_map(
     words = f"Riverbed: {title}, n = {count(known)} cells of {grid.cell_m:g} m"
     low, high = robust_limits(depth, 0.5, 99.5)
     look = {"cmap": DEPTH_MAP, "vmin": max(low, 0.0), "vmax": high}
-    figure, axes = _value_and_sigma(grid, depth, look, "depth below the water / m", sigma, words, twin=twin)
+    figure, axes = _value_and_sigma(grid, depth, look, "depth below the water / m", sigma, words)
     clouds = joined_parts(model)
     for source, colour in ((Source.SURROUNDINGS, "0.75"), (Source.LIDAR, SKY)):
         if source in clouds:
@@ -183,7 +151,6 @@ def bed_picture(
     area: Any = None,
     edge: str = "",
     title: str,
-    twin: bool,
 ) -> Figure:
     """Height of a bed from a table of soundings and its standard deviation, from above.
 
@@ -193,17 +160,17 @@ def bed_picture(
     observations : table of kind ``bed_observations``, east and north on the map of the raster.
     line : centre line, on the same map; None: there is none.
     area, edge : polygon of the water and what its rings are; None: not drawn.
-    title, twin : of the figure.
+    title : of the figure.
     """
     grid, bands, tags = read_raster(bed)
     height = bands["height_m"]
     kind = "Bed" if line is None else "Riverbed"
-    words = f"{kind}: {title}, n = {count(int(np.isfinite(height).sum()))} cells of {grid.cell_m:g} m"
+    words = f"{kind}: {title}, n = {count(np.isfinite(height).sum())} cells of {grid.cell_m:g} m"
     low, high = robust_limits(height, 0.5, 99.5)
     look = {"cmap": DEPTH_MAP.reversed(), "vmin": low, "vmax": high}
     sigma = np.hypot(bands["sigma_m"], np.nan_to_num(bands["sigma_common_m"]))
     above = " above the water" if "water surface" in tags.get("heights", "") else ""
-    figure, axes = _value_and_sigma(grid, height, look, f"height{above} / m", sigma, words, twin=twin)
+    figure, axes = _value_and_sigma(grid, height, look, f"height{above} / m", sigma, words)
     looks = (("bank", "x", 3.0, VERMILION, "banks"), ("sounding", ".", 1.2, "black", "soundings"))
     for ax in axes:
         if line is not None:
@@ -221,14 +188,14 @@ def bed_picture(
 
 
 def _value_and_sigma(
-    grid: Grid, value: ArrayF, look: dict[str, Any], label: str, sigma: ArrayF, title: str, *, twin: bool
+    grid: Grid, value: ArrayF, look: dict[str, Any], label: str, sigma: ArrayF, title: str
 ) -> tuple[Figure, list[Axes]]:
     """Two maps of a raster: a value, and sigma in centimetres."""
     east_m, south_m = grid.west_m + grid.columns * grid.cell_m, grid.north_m - grid.rows * grid.cell_m
     of_sigma = {"cmap": SIGMA_MAP, "norm": LogNorm(*robust_limits(100 * sigma, 0.5, 99.5))}
     panels = [(value, label, look), (100 * sigma, "sigma / cm", of_sigma)]
     extent_m = (grid.west_m, east_m, south_m, grid.north_m)
-    return raster_maps(title, extent_m, panels, crs=grid.crs.name, twin=twin, margin_m=_MARGIN_M)
+    return raster_maps(title, extent_m, panels, crs=grid.crs.name, margin_m=_MARGIN_M)
 
 
 def depth_of(
@@ -240,18 +207,18 @@ def depth_of(
     known = np.isfinite(height)
     depth = np.full(len(height), np.nan)
     world = frame.from_map(np.column_stack([centres[known], height[known]]), grid.crs)
-    water = WaterLevel.of_report(json.loads(level.read_text()))
+    water = WaterLevel.of_report(read_json(level))
     depth[known] = water.at(line.to_flow(world[:, :2])[0])[0] - world[:, 2]
     sigma = np.hypot(bands["sigma_m"], bands["sigma_common_m"])
     return depth.reshape(grid.rows, grid.columns), sigma
 
 
 @styled
-def draw_left_out(*, predicted: Path, title: str, twin: bool) -> Figure:
+def draw_left_out(*, predicted: Path, title: str) -> Figure:
     """What the bed foretells of lines and stretches that were left out, against what was measured there."""
     table = read_parquet(predicted)
     lines, blocks = (table[table["group"] == group] for group in ("line", "block"))
-    figure = new_figure(78.0, f"Cross-validation: {title}, n = {count(len(lines))} soundings", twin=twin)
+    figure = new_figure(78.0, f"Cross-validation: {title}, n = {count(len(lines))} soundings")
     left, right = figure.subplots(1, 2)
     for of, colour, marker, name in ((blocks, ORANGE, "s", "stretches"), (lines, BLUE, ".", "lines")):
         if len(of):
@@ -284,7 +251,6 @@ def draw_bed_sections(
     crs: str,
     origin: Mapping[str, Any],
     title: str,
-    twin: bool,
 ) -> Figure:
     """Sections across the river with their band of 95 %, and the data near them."""
     frame, onto = LocalFrame(**origin), CRS.from_user_input(crs)
@@ -293,10 +259,10 @@ def draw_bed_sections(
     shores = Banks.read(banks, centre)
     data = read_table(observations, OBSERVATIONS)[0]
     depth, sigma = depth_of(grid, bands, frame, centre, level)
-    water = WaterLevel.of_report(json.loads(level.read_text()))
+    water = WaterLevel.of_report(read_json(level))
     low, high = np.percentile(data["s_m"], [4, 96])
     stations = np.linspace(low, high, _SECTIONS)
-    figure = new_figure(125.0, f"Sections across the river: {title}, n = {_SECTIONS} of them", twin=twin)
+    figure = new_figure(125.0, f"Sections across the river: {title}, n = {_SECTIONS} of them")
     axes = figure.subplots(3, 2, sharex=True, sharey=True)
     near = max(0.25 * float(stations[1] - stations[0]), 1.0)
     for ax, s in zip(axes.flat, stations.tolist(), strict=True):
@@ -333,39 +299,6 @@ def draw_bed_sections(
     for ax in axes[:, 0]:
         ax.set_ylabel("depth / m")
     legend_below(figure, *axes.ravel())
-    return figure
-
-
-@styled
-def draw_bed_patterns(*, table: Path) -> Figure:
-    """Error of the bed by pattern of the survey and length of a leg, over many rivers of the twin."""
-    rows = pd.read_csv(table)
-    words = (
-        f"Error of the riverbed by pattern and leg, n = {count(int(rows['n'].sum() / len(rows)))} cells of "
-    )
-    figure = new_figure(100.0, words + f"{rows['rivers'].max():.0f} rivers each", twin=True)
-    ax = figure.subplots()
-    looks = zip(rows.groupby("pattern", sort=False), (BLUE, VERMILION), ("o", "s"), strict=False)
-    for (name, of), colour, marker in looks:
-        leg, expected = of["leg_m"], 100 * of["rmse_predicted_m"]
-        ax.fill_between(
-            leg, expected / of["high"], expected / of["low"], color=colour, alpha=0.18, lw=0,
-            label=f"{name}, predicted, 95 %",
-        )  # fmt: skip
-        ax.plot(leg, 100 * of["rmse_observed_m"], color=colour, marker=marker, label=f"{name}, kriging")
-        ax.plot(
-            leg, 100 * of["rmse_distance_m"], color=colour, marker=marker, mfc="white", ls=":", lw=1.0,
-            label=f"{name}, elliptical inverse distance",
-        )  # fmt: skip
-    ax.set(xscale="log", yscale="log", ylabel="root mean square error / cm")
-    ax.set_xlabel("length of river per leg, or spacing of the sections / m")
-    legs = sorted(rows["leg_m"].unique())
-    ax.set_xticks(legs, [f"{leg:g}" for leg in legs])
-    ax.minorticks_off()
-    ticks = [t for t in (2, 5, 10, 20, 50, 100) if ax.get_ylim()[0] < t < ax.get_ylim()[1]]
-    ax.set_yticks(ticks, [f"{t:g}" for t in ticks])
-    ax.grid(axis="y")
-    legend_below(figure, ax)
     return figure
 
 

@@ -39,7 +39,7 @@ _AROUND = 0.4
 
 
 @styled
-def draw_terrain_model(*, dtm: Path, title: str, twin: bool) -> Figure:
+def draw_terrain_model(*, dtm: Path, title: str) -> Figure:
     """Height, source and standard deviation of the terrain model from above."""
     model = Dtm.read(dtm)
     known = np.isfinite(model.height_m)
@@ -73,7 +73,7 @@ def draw_terrain_model(*, dtm: Path, title: str, twin: bool) -> Figure:
     of_sigma = {"cmap": SIGMA_MAP, "norm": LogNorm(*robust_limits(sigma_cm, 0.5, 99.5))}
     words = f"height, {model.vertical or 'ellipsoidal'} / m"
     figure, axes = raster_maps(
-        f"Bed and banks: {title}, n = {count(int(known.sum()))} cells of {model.cell_m:g} m",
+        f"Bed and banks: {title}, n = {count(known.sum())} cells of {model.cell_m:g} m",
         extent,
         [
             (height_m, words, {"cmap": HEIGHT_MAP, "vmin": low, "vmax": high}),
@@ -81,7 +81,6 @@ def draw_terrain_model(*, dtm: Path, title: str, twin: bool) -> Figure:
             (sigma_cm, "sigma / cm", of_sigma),
         ],
         crs=model.crs.name,
-        twin=twin,
     )
     bar = axes[1].images[0].colorbar
     assert bar is not None
@@ -93,12 +92,12 @@ def draw_terrain_model(*, dtm: Path, title: str, twin: bool) -> Figure:
 
 
 @styled
-def draw_long_profile(*, profile: Path, title: str, twin: bool) -> Figure:
+def draw_long_profile(*, profile: Path, title: str) -> Figure:
     """Thalweg with its band of 95 %, mean bed and water along the river."""
     table = pd.read_csv(profile)
     if table.empty:
         raise CoverageError("no section has heights from bank to bank", expected="soundings on both sides")
-    figure = new_figure(90.0, f"Long profile: {title}, n = {count(len(table))} sections", twin=twin)
+    figure = new_figure(90.0, f"Long profile: {title}, n = {count(len(table))} sections")
     ax = figure.subplots()
     s, z = table["s_m"].to_numpy(), table["thalweg_m"].to_numpy()
     band = WIDE * table["sigma_thalweg_m"].to_numpy()

@@ -1,6 +1,5 @@
 """The camera's clock: its offset from antenna positions, its stability from a running display."""
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
@@ -26,7 +25,7 @@ from thalweg.figures import (
     styled,
 )
 from thalweg.figures.calibration.field import fit_axes
-from thalweg.figures.calibration.tables import first_picture, points_of, read_display, read_figure_table
+from thalweg.figures.calibration.tables import first_picture, points_of, read_display
 
 PINK: Final = "#D6488F"
 PARTS: Final = (("along", BLUE, "o"), ("across", ORANGE, "^"), ("up", GREEN, "s"))
@@ -42,33 +41,23 @@ BINS: Final = 61
 
 
 @styled
-def clock_offset(
-    images: pd.DataFrame,
-    track: pd.DataFrame,
-    facts: Mapping[str, Any],
-    *,
-    title: str = "Camera clock against GNSS",
-    twin: bool = False,
-) -> Figure:
+def clock_offset(images: pd.DataFrame, track: pd.DataFrame, facts: Mapping[str, Any]) -> Figure:
     """Plan of both tracks with the offset applied, and the residuals along, across and up over time.
 
     Parameters
     ----------
     images, track : see `thalweg.figures.calibration.tables`.
     facts : ``offset_s`` and ``sigma_offset_s``; others are not used.
-    title : first words of the title.
-    twin : true if the digital twin made the data.
 
     """
     images, track = images.sort_values("t_gps_s"), track.sort_values("t_gps_s")
     used = images["used"].to_numpy(bool)
     offset = f"GPS minus camera {facts['offset_s']:+.4f} s ± {1e3 * facts['sigma_offset_s']:.1f} ms"
     rejected = int((~used).sum())
-    figure = new_figure(
-        132.0,
-        f"{title}: {offset}, n = {plural(int(used.sum()), 'image')}, {count(rejected)} rejected",
-        twin=twin,
+    head = (
+        f"Camera clock against GNSS: {offset}, n = {plural(used.sum(), 'image')}, {count(rejected)} rejected"
     )
+    figure = new_figure(132.0, head)
     grid = figure.add_gridspec(2, 2, height_ratios=[1.7, 1.0], width_ratios=[3.2, 1.0])
     plan, below = figure.add_subplot(grid[0, :]), figure.add_subplot(grid[1, 0])
     _plan(plan, images, track, used)
@@ -95,7 +84,7 @@ def _plan(ax: Axes, images: pd.DataFrame, track: pd.DataFrame, used: ArrayB) -> 
         (~used, "0.5", "rejected", "rejected"),
     ):
         if which.any():
-            label = f"{words}, n = {count(int(which.sum()))}"
+            label = f"{words}, n = {count(which.sum())}"
             ax.plot(*fixes[which].T, "o", ms=5.0, mfc="none", color=colour, zorder=3, label=label, gid=gid)
     both = np.concatenate([gnss, fixes])
     fit_axes(ax, both, margin=0.07)
@@ -112,7 +101,7 @@ def _residuals(ax: Axes, right: Axes, images: pd.DataFrame, t0: float) -> None:
     reach = 1.15 * max(float(np.nanpercentile(all_mm, 99.5)), 1.0)
     edges = np.linspace(-reach, reach, 31)
     for name, colour, marker in PARTS:
-        mm = 1e3 * images[f"residual_{name}_m"].to_numpy(np.float64)
+        mm = 1e3 * images[f"residual_{name}_m"].to_numpy()
         ax.plot(t, mm, marker, ms=2.4, mew=0.6, mfc="none", color=colour, gid=name)
         right.hist(mm, edges.tolist(), orientation="horizontal", histtype="step", color=colour)
         texts.append(f"{name} {np.nanmean(mm):+.1f} ± {np.nanstd(mm):.1f}")
@@ -124,16 +113,6 @@ def _residuals(ax: Axes, right: Axes, images: pd.DataFrame, t0: float) -> None:
     right.set_xlabel("images")
     right.tick_params(labelleft=False)
     right.grid()
-
-
-def draw_clock_offset(*, fixes: Path, track: Path, facts: Path, twin: bool) -> Figure:
-    """Antenna from images and from GNSS -> figure of both tracks and what remains between them."""
-    return clock_offset(
-        read_figure_table(fixes),
-        read_figure_table(track),
-        json.loads(facts.read_text(encoding="utf-8")),
-        twin=twin,
-    )
 
 
 # ---------------------------------------------------------------- stability (P2 Fig. 13)
@@ -148,7 +127,6 @@ def clock_stability(
     nominal_s: float = 1.0,
     step_s: float = 0.0,
     title: str = "Clock of the camera",
-    twin: bool = False,
 ) -> Figure:
     """A photo with what was read from it, the intervals between images over time, and their histogram.
 
@@ -172,7 +150,7 @@ def clock_stability(
         f"n = {plural(intervals.size, 'interval')}; {count(unread)} of {count(len(readings))} "
         "photos unreadable"
     )
-    figure = new_figure(124.0, head, twin=twin)
+    figure = new_figure(124.0, head)
     axes: dict[str, Any] = figure.subplot_mosaic([["a", "c"], ["b", "b"]], height_ratios=[1.15, 1.0])
     _photo(axes["a"], photo, photo_text)
     _in_time(axes["b"], elapsed_min, intervals, nominal_s)
@@ -187,7 +165,7 @@ def display_intervals(table: pd.DataFrame) -> tuple[ArrayF, ArrayF]:
     ------
     CoverageError : fewer than two intervals.
     """
-    read = table["read_s"].to_numpy(np.float64)
+    read = table["read_s"].to_numpy()
     intervals = np.diff(read)
     both = np.isfinite(intervals)
     intervals = intervals[both]
@@ -237,9 +215,7 @@ def _in_time(ax: Axes, minutes: ArrayF, intervals: ArrayF, nominal_s: float) -> 
     outside: AnyArray = np.abs(intervals - mean) > reach
     ax.set_ylim(mean - reach, mean + 1.35 * reach)
     ax.set(xlabel="time since the first photo / min", ylabel="interval / s")
-    ax.set_title(
-        f"b: time between two images; {count(int(outside.sum())) if outside.any() else 'none'} outside"
-    )
+    ax.set_title(f"b: time between two images; {count(outside.sum()) if outside.any() else 'none'} outside")
     ax.legend(loc="upper right", ncols=3)
     ax.grid()
 
@@ -282,7 +258,7 @@ def _reach(intervals: ArrayF, mean: float) -> float:
 
 
 def draw_clock_stability(
-    *, display: Path, photos: list[Path], nominal_s: float, step_s: float, title: str, twin: bool
+    *, display: Path, photos: list[Path], nominal_s: float, step_s: float, title: str
 ) -> Figure:
     """Readings of a running display -> figure of the intervals between images."""
     table = read_display(display)
@@ -294,5 +270,4 @@ def draw_clock_stability(
         nominal_s=nominal_s,
         step_s=step_s,
         title=title,
-        twin=twin,
     )

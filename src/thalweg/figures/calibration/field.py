@@ -9,7 +9,6 @@ import numpy as np
 import pandas as pd
 from cmcrameri import cm
 from matplotlib.axes import Axes
-from matplotlib.cm import ScalarMappable
 from matplotlib.collections import PolyCollection
 from matplotlib.colors import Colormap, Normalize
 from matplotlib.figure import Figure
@@ -29,6 +28,7 @@ from thalweg.figures import (
     SIGMA_MAP,
     SKY,
     VERMILION,
+    colour_bar,
     count,
     leave_out,
     legend_below,
@@ -155,14 +155,8 @@ PLAN: Final = Oblique(azimuth_deg=0.0, elevation_deg=90.0)
 
 
 def draw_cones(
-    ax: Axes,
-    cones: Sequence[FieldCone],
-    view: Oblique,
-    *,
-    colours: Colormap,
-    limits_m: tuple[float, float],
-    alpha: float = 1.0,
-) -> PolyCollection:
+    ax: Axes, cones: Sequence[FieldCone], view: Oblique, *, colours: Colormap, limits_m: tuple[float, float]
+) -> None:
     """Draw cones as shaded bodies, coloured by height; nearer facets hide those behind.
 
     Parameters
@@ -170,7 +164,6 @@ def draw_cones(
     cones : drawn together, so that one may stand before another.
     view : how it is seen.
     colours, limits_m : map of heights, metres.
-    alpha : opacity.
     """
     corners, heights, shades, depths = [], [], [], []
     for cone in cones:
@@ -189,7 +182,6 @@ def draw_cones(
     order = np.argsort(np.concatenate(depths))
     rgba = colours(Normalize(*limits_m)(np.concatenate(heights)))
     rgba[:, :3] *= np.concatenate(shades)[:, None]
-    rgba[:, 3] = alpha
     body = PolyCollection(
         list(np.concatenate(corners)[order]),
         facecolors=rgba[order],
@@ -200,7 +192,6 @@ def draw_cones(
         rasterized=True,
     )
     ax.add_collection(body)
-    return body
 
 
 def draw_outlines(
@@ -266,7 +257,6 @@ def field_setup(
     frame: str = "wcs",
     unseen: Sequence[str] = (),
     title: str = "Calibration field",
-    twin: bool = False,
 ) -> Figure:
     """Cones coloured by height with camera (red) and lidar (grey): oblique view and plan (P2 Fig. 2).
 
@@ -276,7 +266,6 @@ def field_setup(
     frame : frame of both tables; only in ``wcs`` is y north.
     unseen : names of cones of the field that the tables lack, for the title.
     title : first words of the title.
-    twin : true if the digital twin made the data.
     """
     bodies = list(cones_of(cones).values())
     first = poses[poses["position"] == poses["position"].iloc[0]]
@@ -284,7 +273,7 @@ def field_setup(
     limits = (float(ground[0, 2]), float(surface[:, 2].max()))
     head = f"{title}, n = {plural(len(bodies), 'cone')}"
     head += f"; without data: {', '.join(unseen)}" if unseen else ""
-    figure = new_figure(150.0, head, twin=twin)
+    figure = new_figure(150.0, head)
     long = _is_long(bodies)
     axes = figure.subplot_mosaic([["a"], ["b"], ["c"]] if long else [["a", "a"], ["b", "c"]])
     for key, view, name in (("a", VIEW, "oblique view"), ("b", PLAN, "plan"), ("c", SOUTH, _side(frame))):
@@ -303,9 +292,8 @@ def field_setup(
     if frame == "wcs":
         north_arrow(axes["b"])
     legend_below(figure, axes["a"])
-    _colour_bar(
-        figure, list(axes.values()), limits, HEIGHT_MAP, f"{'up' if frame == 'wcs' else 'z'} ({frame}) / m"
-    )
+    words = f"{'up' if frame == 'wcs' else 'z'} ({frame}) / m"
+    colour_bar(list(axes.values()), HEIGHT_MAP, limits, words, shrink=0.65, pad=0.02)
     return figure
 
 
@@ -316,7 +304,6 @@ def field_positions(
     *,
     frame: str = "wcs",
     title: str = "Positions of camera and lidar",
-    twin: bool = False,
 ) -> Figure:
     """Field, and the positions of the boat in it with the z axes of both sensors (P2 Fig. 8).
 
@@ -328,7 +315,7 @@ def field_positions(
     bodies, sensors = list(cones_of(cones).values()), points_of(poses)
     names = natural(poses["position"].astype(str).tolist())
     head = f"{title}, n = {plural(len(names), 'position')}, {plural(len(bodies), 'cone')}"
-    figure = new_figure(118.0, head, twin=twin)
+    figure = new_figure(118.0, head)
     long = _is_long(bodies)
     parts = figure.subplot_mosaic([["a", "a"], ["b", "c"]] if long else [["a", "b"], ["a", "c"]])
     plan, surface = parts["a"], _surface(bodies)
@@ -394,18 +381,13 @@ def _surface(bodies: Sequence[FieldCone]) -> ArrayF:
     return np.concatenate([cone.surface().reshape(-1, 3) for cone in bodies])
 
 
-def _colour_bar(figure: Figure, ax: Any, limits: tuple[float, float], colours: Colormap, words: str) -> None:
-    bar = ScalarMappable(Normalize(*limits), colours)
-    figure.colorbar(bar, ax=ax, label=words, shrink=0.65, pad=0.02)
-
-
 def _ground(bodies: Sequence[FieldCone], sensors: ArrayF) -> ArrayF:
     """Corners (4, 3) of a horizontal grid below the field: the tables do not know the ground itself."""
     surface = _surface(bodies)
     both = np.concatenate([surface, sensors])[:, :2]
     low = GRID_M * np.floor(both.min(axis=0) / GRID_M)
     high = GRID_M * np.ceil(both.max(axis=0) / GRID_M)
-    z = GROUND_STEP_M * np.floor(float(surface[:, 2].min()) / GROUND_STEP_M)
+    z = GROUND_STEP_M * np.floor(surface[:, 2].min() / GROUND_STEP_M)
     return np.array([[low[0], low[1], z], [high[0], low[1], z], [high[0], high[1], z], [low[0], high[1], z]])
 
 
@@ -421,24 +403,25 @@ def _draw_ground(ax: Axes, bodies: Sequence[FieldCone], ground: ArrayF, view: Ob
         ax.plot(*view.apply(np.array([(x, y, up), (x, y, z)]))[0].T, color="0.6", lw=0.8, zorder=2)
 
 
-def draw_field_setup(*, cones: Path, field: Path, place: Path, poses: Path, title: str, twin: bool) -> Figure:
-    """Cones and poses of a calibration -> figure of the field."""
+def _in_world(cones: Path, field: Path, place: Path, poses: Path) -> tuple[pd.DataFrame, pd.DataFrame, str]:
+    """Cones and poses of a calibration in the world, or without a place of the field in its own frame."""
     T_wcs_pcs = read_place(place)
     bodies = placed(read_cones(cones, field), T_wcs_pcs)
-    stands = placed(read_figure_table(poses), T_wcs_pcs)
-    frame = "pcs" if T_wcs_pcs is None else "wcs"
+    return bodies, placed(read_figure_table(poses), T_wcs_pcs), "pcs" if T_wcs_pcs is None else "wcs"
+
+
+def draw_field_setup(*, cones: Path, field: Path, place: Path, poses: Path, title: str) -> Figure:
+    """Cones and poses of a calibration -> figure of the field."""
+    bodies, stands, frame = _in_world(cones, field, place, poses)
     described = [cone.name for cone in read_field(field).cones]
     unseen = [name for name in described if name not in set(bodies["name"])]
-    return field_setup(bodies, stands, frame=frame, unseen=unseen, title=title, twin=twin)
+    return field_setup(bodies, stands, frame=frame, unseen=unseen, title=title)
 
 
-def draw_field_positions(*, cones: Path, field: Path, place: Path, poses: Path, twin: bool) -> Figure:
+def draw_field_positions(*, cones: Path, field: Path, place: Path, poses: Path) -> Figure:
     """Cones and poses of a calibration -> figure of the positions in the field."""
-    T_wcs_pcs = read_place(place)
-    bodies = placed(read_cones(cones, field), T_wcs_pcs)
-    stands = placed(read_figure_table(poses), T_wcs_pcs)
-    frame = "pcs" if T_wcs_pcs is None else "wcs"
-    return field_positions(bodies, stands, frame=frame, twin=twin)
+    bodies, stands, frame = _in_world(cones, field, place, poses)
+    return field_positions(bodies, stands, frame=frame)
 
 
 # ---------------------------------------------------------------- reference points, an image, cones (P1 Fig.
@@ -458,7 +441,6 @@ def field_reference(
     *,
     image_name: str = "",
     title: str = "Calibration of camera and lidar",
-    twin: bool = False,
 ) -> Figure:
     """Reference points, markers in an image with residuals, lidar points by cone, residuals of the fit.
 
@@ -469,41 +451,49 @@ def field_reference(
     image : (h, w) or (h, w, 3) uint8, the picture with the marks.
     image_name : shown above it.
     title : first words of the title.
-    twin : true if the digital twin made the data.
     """
     bodies = cones_of(cones)
     used = cone_points[cone_points["used"].astype(bool)]
     head = f"{title}, n = {plural(len(field_points), 'reference point')}, {plural(len(used), 'lidar point')}"
-    figure = new_figure(128.0, head, twin=twin)
+    figure = new_figure(128.0, head)
     axes = figure.subplots(2, 2)
-    _reference(figure, axes[0, 0], field_points, list(bodies.values()))
+    _reference(axes[0, 0], field_points, list(bodies.values()))
     _image(axes[0, 1], image, marks, image_name)
     shown = used.iloc[:: max(-(-len(used) // POINTS_SHOWN), 1)]
     colours = {name: CONE_COLOURS[k % len(CONE_COLOURS)] for k, name in enumerate(bodies)}
     _on_cones(axes[1, 0], shown, bodies, c=shown["cone"].astype(str).map(colours))
     part = f", {count(len(shown))} of {count(len(used))} shown" if len(shown) < len(used) else ""
     axes[1, 0].set_title(f"c: lidar points on {plural(used['cone'].nunique(), 'cone')}{part}")
-    mm = 1e3 * used["residual_m"].to_numpy(np.float64)
+    mm = 1e3 * used["residual_m"].to_numpy()
     limit = max(abs(x) for x in robust_limits(mm, 2.0, 98.0))
     norm = Normalize(-limit, limit)
     _on_cones(axes[1, 1], shown, bodies, c=1e3 * shown["residual_m"], cmap=RESIDUAL_MAP, norm=norm)
     axes[1, 1].set_title(f"d: residuals, mean {mm.mean():+.1f} mm, std {mm.std():.1f} mm")
-    _colour_bar(figure, axes[1, 1], (-limit, limit), RESIDUAL_MAP, "outside +, inside − / mm")
+    colour_bar(axes[1, 1], RESIDUAL_MAP, norm, "outside +, inside − / mm", shrink=0.65, pad=0.02)
     return figure
 
 
-def _reference(figure: Figure, ax: Axes, points: pd.DataFrame, bodies: Sequence[FieldCone]) -> None:
+def _reference(ax: Axes, points: pd.DataFrame, bodies: Sequence[FieldCone]) -> None:
     xy, depth = REFERENCE_VIEW.apply(points_of(points))
     sigma_mm = 1e3 * np.linalg.norm(points_of(points, [f"sigma_{name}" for name in XYZ]), axis=1)
     limits = robust_limits(sigma_mm, 0.0, 99.0)
     order = np.argsort(depth)
-    look: dict[str, Any] = {"c": sigma_mm[order], "cmap": SIGMA_MAP, "norm": Normalize(*limits), "lw": 0}
     draw_outlines(ax, bodies, REFERENCE_VIEW)
-    ax.scatter(xy[order, 0], xy[order, 1], s=5, **look, zorder=4, gid="reference")
+    ax.scatter(
+        xy[order, 0],
+        xy[order, 1],
+        s=5,
+        c=sigma_mm[order],
+        cmap=SIGMA_MAP,
+        norm=Normalize(*limits),
+        lw=0,
+        zorder=4,
+        gid="reference",
+    )
     name_cones(ax, bodies, REFERENCE_VIEW)
     _frame(ax, np.concatenate([xy, REFERENCE_VIEW.apply(_surface(bodies))[0]]))
     ax.set_title(f"a: reference points,\nmedian 3D sigma {np.median(sigma_mm):.2f} mm")
-    _colour_bar(figure, ax, limits, SIGMA_MAP, "3D sigma / mm")
+    colour_bar(ax, SIGMA_MAP, limits, "3D sigma / mm", shrink=0.65, pad=0.02)
 
 
 def _image(ax: Axes, image: ArrayU8, marks: pd.DataFrame, name: str) -> None:
@@ -517,22 +507,25 @@ def _image(ax: Axes, image: ArrayU8, marks: pd.DataFrame, name: str) -> None:
     ax.imshow(image, cmap="gray", extent=(0, w, h, 0), interpolation="antialiased", alpha=0.75)
     ax.plot(*xy[used].T, ".", ms=2.0, color=SKY, gid="marks")
     if not used.all():
-        words = f"{plural(int((~used).sum()), 'mark')} rejected"
+        words = f"{plural((~used).sum(), 'mark')} rejected"
         ax.plot(*xy[~used].T, "x", ms=4, color=ORANGE, gid="rejected", label=words)
         ax.legend(loc="lower right")
-    look: dict[str, Any] = {
-        "angles": "xy",
-        "scale_units": "xy",
-        "scale": 1.0,
-        "color": ORANGE,
-        "width": 0.003,
-    }
-    ax.quiver(*xy[used].T, *scale * vector[used].T, **look, gid="residuals", zorder=5)
+    ax.quiver(
+        *xy[used].T,
+        *scale * vector[used].T,
+        angles="xy",
+        scale_units="xy",
+        scale=1.0,
+        color=ORANGE,
+        width=0.003,
+        gid="residuals",
+        zorder=5,
+    )
     ax.set(xlim=(0, w), ylim=(h, 0), xticks=[], yticks=[])
     rms = root_mean_square(vector[used])
     ax.set_title(
         f"b: {plural(len(marks), 'mark')} in {name or 'an image'}, RMS {rms:.3f} px,\n"
-        f"residuals enlarged {count(int(scale)) if scale >= 1 else f'{scale:g}'} times"
+        f"residuals enlarged {count(scale) if scale >= 1 else f'{scale:g}'} times"
     )
 
 
@@ -587,7 +580,6 @@ def draw_field_reference(
     measured: Path,
     cone_points: Path,
     title: str,
-    twin: bool,
 ) -> Figure:
     """Reference points, an image with its marks, lidar points of the cones -> figure of the calibration."""
     all_marks = read_image_marks(marks, measured)
@@ -601,5 +593,4 @@ def draw_field_reference(
         placed(read_figure_table(cone_points), T_wcs_pcs),
         image_name=image.name,
         title=title,
-        twin=twin,
     )

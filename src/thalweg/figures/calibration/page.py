@@ -1,6 +1,5 @@
 """One page on a calibration: what was found and how well, what it rests on, what was left out, its limits."""
 
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -9,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from thalweg.accuracy import verdict_of, verdict_of_ratio
-from thalweg.core import AnyArray
+from thalweg.core import AnyArray, read_json
 from thalweg.core.calibration import Block, Calibration, read_calibration, unit_of
 from thalweg.figures import Finding, Page, count, plural
 from thalweg.figures.calibration.tables import read_figure_table
@@ -31,7 +30,7 @@ def clock_words(facts: Mapping[str, Any]) -> str:
         f"GPS time minus the camera's stamp is {facts['offset_s']:+.4f} s, sigma {offset_ms:.1f} ms, at the "
         f"middle of the run; drift {facts['drift_ppm']:+.0f} ppm, sigma {facts['sigma_drift_ppm']:.0f} ppm. "
         f"Single images are off by {jitter_ms:.1f} ms (standard deviation, sigma {of_jitter_ms:.1f} ms). It "
-        f"rests on {plural(int(facts['images_used']), 'image')} and on {facts['variant']}; sigma0 squared "
+        f"rests on {plural(facts['images_used'], 'image')} and on {facts['variant']}; sigma0 squared "
         f"{facts['sigma0_squared']:.2f}."
     )
     low, high = facts["sigma0_squared_band"]
@@ -65,10 +64,10 @@ def clock_variants(facts: Mapping[str, Any]) -> pd.DataFrame:
 def stability_words(facts: Mapping[str, Any]) -> str:
     """How evenly a camera takes its images, from the report on photographs of a running clock."""
     words = (
-        f"Of {count(int(facts['photographs']))} photographs of a running clock "
-        f"{count(int(facts['read']))} were read. Intervals: mean {facts['mean_s']:.4f} s, standard deviation "
+        f"Of {count(facts['photographs'])} photographs of a running clock "
+        f"{count(facts['read'])} were read. Intervals: mean {facts['mean_s']:.4f} s, standard deviation "
         f"{1e3 * facts['std_s']:.1f} ms without the share of the display's step "
-        f"({1e3 * facts['raw_std_s']:.1f} ms as read), from {plural(int(facts['pairs']), 'pair')} of "
+        f"({1e3 * facts['raw_std_s']:.1f} ms as read), from {plural(facts['pairs'], 'pair')} of "
         "neighbours."
     )
     return " ".join([words, *facts.get("notes", [])])
@@ -241,7 +240,7 @@ def write_calibration_page(
         pictures=pictures,
         captions=captions,
         truth=read_figure_table(truth[0]) if truth else None,
-        facts={path.stem: json.loads(path.read_text(encoding="utf-8")) for path in facts},
+        facts={path.stem: read_json(path) for path in facts},
         title=f"Calibration: {title}",
         twin=twin,
     ).write(page)

@@ -139,7 +139,7 @@ def first_picture(paths: Sequence[Path], *, choice: Sequence[str] = ()) -> Path:
 
 def points_of(table: pd.DataFrame, columns: Sequence[str] = XYZ) -> ArrayF:
     """(n, 3) coordinates of a table."""
-    return table[list(columns)].to_numpy(np.float64)
+    return table[list(columns)].to_numpy()
 
 
 def natural(names: Sequence[str]) -> list[str]:

@@ -1,7 +1,5 @@
 """The bank in the colours of photographs, and which points have none."""
 
-from pathlib import Path
-
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
@@ -9,25 +7,19 @@ from matplotlib.figure import Figure
 from thalweg.figures import BLUE, GREY, leave_out, new_figure, styled
 
 
-def draw_colour_check(*, check: Path, curves: Path, title: str, twin: bool) -> Figure:
-    """Test of clock and mount by intensity and brightness -> dependence over what was tried."""
-    return colour_check(
-        pd.read_csv(check), pd.read_csv(curves), title=f"Intensity against brightness: {title}", twin=twin
-    )
-
-
 @styled
-def colour_check(check: pd.DataFrame, curves: pd.DataFrame, *, title: str, twin: bool) -> Figure:
+def colour_check(
+    check: pd.DataFrame, curves: pd.DataFrame, *, title: str = "Intensity against brightness"
+) -> Figure:
     """How much intensity and brightness depend on each other over shifts of clock and mount.
 
     Parameters
     ----------
     check, curves : of `thalweg.lidar.check_colours`.
     title : first words of the title.
-    twin : true if the digital twin made the data.
     """
     n = int(check["photographs"].max())
-    figure = new_figure(100.0, f"{title}, n = {n} photographs", twin=twin)
+    figure = new_figure(100.0, f"{title}, n = {n} photographs")
     words = {
         "clock_s": "camera time shift / s",
         **{f"turn_{a}_deg": f"camera rotation about its {a} axis / °" for a in "xyz"},

@@ -6,7 +6,6 @@ from typing import Any, Final
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.cm import ScalarMappable
 from matplotlib.collections import EllipseCollection
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
@@ -22,11 +21,13 @@ from thalweg.figures import (
     RANGE_MAP,
     RED,
     VERMILION,
+    colour_bar,
     count,
     legend_below,
     marks_in_free_corners,
     new_figure,
     robust_limits,
+    show_plan,
     styled,
 )
 from thalweg.figures.survey import map_extent
@@ -46,6 +47,8 @@ DISTANCE_CLASS_M: Final = 2.0
 
 TOLERANCE_M: Final = 3.0
 """Points whose distance differs by no more from the wanted one say which revolution is shown."""
+
+_BAR: Final[dict[str, Any]] = {"location": "bottom", "pad": 0.02, "aspect": 30, "extend": "both"}
 
 TLS_DIVERGENCE_MRAD: Final = 0.3
 """Of the terrestrial scanner: the footprint of the lidar is ten times the size of its spot (P2 section 7)."""
@@ -179,7 +182,6 @@ def footprints(
     divergence_mrad: float,
     distance_m: float = DISTANCE_M,
     title: str = "Footprints of the mobile lidar",
-    twin: bool = False,
 ) -> Figure:
     """One revolution of the lidar in plan view, and a patch of the bank with the footprints to scale.
 
@@ -190,7 +192,6 @@ def footprints(
     divergence_mrad : full divergence of the beam.
     distance_m : wanted distance of the patch; the nearest there is will do.
     title : first words of the title.
-    twin : true if the digital twin made the data.
 
     Raises
     ------
@@ -202,48 +203,61 @@ def footprints(
     points, scanner = points[posed], scanner[posed]
     inside = patch.inside[posed]
     head = f"{title}, one revolution ({REVOLUTION_S:g} s), n = {count(len(points))} points"
-    figure = new_figure(100.0, head, twin=twin)
+    figure = new_figure(100.0, head)
     left, right = figure.subplots(1, 2, width_ratios=[1.0, 1.0])
-    _draw_frame(figure, left, points, scanner, patch)
-    _draw_patch(figure, right, points[inside], scanner[inside], patch, divergence_mrad)
+    _draw_frame(left, points, scanner, patch)
+    _draw_patch(right, points[inside], scanner[inside], patch, divergence_mrad)
     legend_below(figure, left)
     return figure
 
 
-def _draw_frame(figure: Figure, ax: Axes, points: ArrayF, scanner: ArrayF, patch: Patch) -> None:
+def _draw_frame(ax: Axes, points: ArrayF, scanner: ArrayF, patch: Patch) -> None:
     range_m = np.linalg.norm(points - scanner, axis=1)
     bulk = np.percentile(points[:, :2], [4, 96], axis=0)
     low, high = map_extent(np.concatenate([scanner[:, :2], patch.centre_wcs_m[None, :2], bulk]), None)
     # The panel is a square.
     middle, half = 0.5 * (low + high), 0.5 * float(np.max(high - low))
-    ax.set_xlim(middle[0] - half, middle[0] + half)
-    ax.set_ylim(middle[1] - half, middle[1] + half)
-    ax.set_aspect("equal")
+    show_plan(ax, middle - half, middle + half)
     order = np.argsort(-range_m)
     norm = Normalize(*robust_limits(range_m, 1.0, 99.0))
-    look: dict[str, Any] = {"c": range_m[order], "cmap": RANGE_MAP, "norm": norm, "lw": 0, "rasterized": True}
-    dots = ax.scatter(points[order, 0], points[order, 1], s=1.6, **look, gid="frame")
+    ax.scatter(
+        points[order, 0],
+        points[order, 1],
+        s=1.6,
+        c=range_m[order],
+        cmap=RANGE_MAP,
+        norm=norm,
+        lw=0,
+        rasterized=True,
+        gid="frame",
+    )
     place = scanner.mean(axis=0)
     ax.plot(*place[:2], "^", ms=6, mfc="white", mec="black", zorder=6, label="lidar", gid="scanner")
     words = f"line of sight of b, {patch.range_m:.1f} m"
     sight = np.stack([place[:2], patch.centre_wcs_m[:2]])
     ax.plot(*sight.T, color=VERMILION, lw=0.8, ls="--", zorder=5, label=words, path_effects=HALO)
-    look = {"ec": ORANGE, "lw": 1.8, "zorder": 6, "label": "area of b", "path_effects": HALO}
-    ax.add_patch(Polygon(_outline(patch), fill=False, **look, gid="patch"))
+    ax.add_patch(
+        Polygon(
+            _outline(patch),
+            fill=False,
+            ec=ORANGE,
+            lw=1.8,
+            zorder=6,
+            label="area of b",
+            path_effects=HALO,
+            gid="patch",
+        )
+    )
     outside = int(np.sum(np.any(np.abs(points[:, :2] - middle) > half, axis=1)))
     ax.set_title(f"a: scan pattern in plan view, n = {count(len(points))}\n{count(outside)} beyond the map")
-    ax.set_xlabel("east / m")
-    ax.set_ylabel("north / m")
     marks_in_free_corners(ax, np.concatenate([points[:, :2], sight]))
-    figure.colorbar(
-        dots, ax=ax, label="measured range / m", location="bottom", pad=0.02, aspect=30, extend="both"
-    )
+    colour_bar(ax, RANGE_MAP, norm, "measured range / m", **_BAR)
 
 
 def _outline(patch: Patch) -> ArrayF:
     """Corners of the patch in plan, drawn a metre deep where it is seen edge-on."""
     along, deep = 0.5 * PATCH_M * patch.right[:2], 0.5 * PATCH_M * patch.up[:2]
-    if float(np.hypot(*deep)) < 0.5:
+    if np.hypot(*deep) < 0.5:
         deep = 0.5 * np.array([-patch.right[1], patch.right[0]])
     centre = patch.centre_wcs_m[:2]
     return np.stack(
@@ -251,9 +265,7 @@ def _outline(patch: Patch) -> ArrayF:
     )
 
 
-def _draw_patch(
-    figure: Figure, ax: Axes, points: ArrayF, scanner: ArrayF, patch: Patch, divergence_mrad: float
-) -> None:
+def _draw_patch(ax: Axes, points: ArrayF, scanner: ArrayF, patch: Patch, divergence_mrad: float) -> None:
     beam = points - scanner
     range_m = np.linalg.norm(beam, axis=1)
     place = patch.project(points)
@@ -269,15 +281,22 @@ def _draw_patch(
     ax.set_aspect("equal")
     ax.set_xlabel("to the right, across the beams / m")
     ax.set_ylabel("up, across the beams / m")
-    look: dict[str, Any] = {
-        "facecolors": faces,
-        "edgecolors": "0.15",
-        "linewidths": 0.5,
-        "zorder": 3,
-        "gid": "footprints",
-    }
-    place_of: dict[str, Any] = {"units": "xy", "offsets": place, "offset_transform": ax.transData}
-    ax.add_collection(EllipseCollection(widths, heights, angles, **place_of, **look), autolim=False)
+    ax.add_collection(
+        EllipseCollection(
+            widths,
+            heights,
+            angles,
+            units="xy",
+            offsets=place,
+            offset_transform=ax.transData,
+            facecolors=faces,
+            edgecolors="0.15",
+            linewidths=0.5,
+            zorder=3,
+            gid="footprints",
+        ),
+        autolim=False,
+    )
     one = int(np.argmin(np.linalg.norm(place, axis=1)))
     size_m, spot_m = float(heights[one]), float(heights[one]) * TLS_DIVERGENCE_MRAD / divergence_mrad
     ax.set_title(
@@ -287,19 +306,11 @@ def _draw_patch(
     )
     for diameter_m, look in ((size_m, {"fill": False, "ec": RED, "lw": 1.4}), (spot_m, {"fc": RED})):
         ax.add_patch(Circle(place[one], 0.5 * diameter_m, **look, zorder=6, gid="named-footprint"))
-    figure.colorbar(
-        ScalarMappable(norm, RANGE_MAP),
-        ax=ax,
-        label="measured range / m",
-        location="bottom",
-        pad=0.02,
-        aspect=30,
-        extend="both",
-    )
+    colour_bar(ax, RANGE_MAP, norm, "measured range / m", **_BAR)
 
 
 def draw_footprints(
-    *, points: Path, trajectory: Path, mounts: Path, divergence_mrad: float, title: str, twin: bool
+    *, points: Path, trajectory: Path, mounts: Path, divergence_mrad: float, title: str
 ) -> Figure:
     """Cloud and trajectory -> one revolution of the lidar and its footprints on the bank."""
     sample, track = sample_cloud(points, 2_000_000), Trajectory.read(trajectory)
@@ -316,5 +327,4 @@ def draw_footprints(
         scanner_m[has_pose],
         divergence_mrad=divergence_mrad,
         title=f"Footprints of the mobile lidar: {title}",
-        twin=twin,
     )

@@ -6,12 +6,21 @@ from typing import Final, Self
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Colormap, ListedColormap, Normalize
 from matplotlib.figure import Figure
 
 from thalweg.core import ArrayF, ArrayI, GeometryError, InputError, iter_laz
-from thalweg.figures import HALO, TIME_MAP, WIDTH_MM, count, marks_in_free_corners, new_figure, plural, styled
+from thalweg.figures import (
+    HALO,
+    TIME_MAP,
+    WIDTH_MM,
+    colour_bar,
+    count,
+    marks_in_free_corners,
+    new_figure,
+    plural,
+    styled,
+)
 from thalweg.figures.cloud.views import ObliqueView, Splat
 from thalweg.images.model import ImagePoses
 from thalweg.lidar import sample_cloud
@@ -81,18 +90,16 @@ class FrameViews:
     points: ArrayI
 
     @classmethod
-    def of_cloud(cls, cloud: Path, images: FrameImages, *, azimuth_rad: float | None = None) -> Self:
+    def of_cloud(cls, cloud: Path, images: FrameImages) -> Self:
         """From a LAZ cloud in the local frame, chunk by chunk.
 
         Parameters
         ----------
         cloud : LAZ.
         images : that oriented it.
-        azimuth_rad : direction of the side view; by default across the longest extent of the images' places.
         """
         sample = sample_cloud(cloud, _SAMPLE)["xyz_m"]
-        if azimuth_rad is None:
-            azimuth_rad = _bankward(sample, images.centre_wcs_m)
+        azimuth_rad = _bankward(sample, images.centre_wcs_m)
         both = np.concatenate([sample, images.centre_wcs_m])
         views = cls(
             plan=Splat(ObliqueView.fit(both, azimuth_rad=0.0, elevation_rad=np.pi / 2, width_px=1800)),
@@ -116,11 +123,7 @@ class FrameViews:
 
 @styled
 def frames_by_image(
-    views: FrameViews,
-    images: FrameImages,
-    *,
-    title: str = "Lidar points by the image that orients them",
-    twin: bool = False,
+    views: FrameViews, images: FrameImages, *, title: str = "Lidar points by the image that orients them"
 ) -> Figure:
     """The cloud from above and from the water, coloured by image number, with the places of the images.
 
@@ -129,7 +132,6 @@ def frames_by_image(
     views : of the cloud.
     images : the same that were given to the views.
     title : first words of the title.
-    twin : true if the digital twin made the data.
 
     Raises
     ------
@@ -144,26 +146,17 @@ def frames_by_image(
         width_mm * view.height_px / view.width_px for view in (views.plan.view, views.side.view)
     )
     side_mm = max(side_mm, _SIDE_MM)
-    figure = new_figure(plan_mm + side_mm + 34.0, head, twin=twin)
+    figure = new_figure(plan_mm + side_mm + 34.0, head)
     upper, lower = figure.subplots(2, 1, height_ratios=[plan_mm, side_mm])
     limits = float(images.number[0]), max(float(images.number[-1]), float(images.number[0]) + 1.0)
     _show(upper, views.plan, limits)
     _places(upper, images, limits, views.points)
-    upper.set_xlabel("east / m")
-    upper.set_ylabel("north / m")
-    upper.set_title(_words(views, images))
+    upper.set(xlabel="east / m", ylabel="north / m", title=_words(views, images))
     _show(lower, views.side, limits)
-    lower.set_xlabel("along the bank, to the right / m")
-    lower.set_ylabel("height / m")
+    lower.set(xlabel="along the bank, to the right / m", ylabel="height / m")
     degrees = float(np.rad2deg(views.side.view.azimuth_rad)) % 360.0
     lower.set_title(f"from the water towards {degrees:.0f}°")
-    figure.colorbar(
-        ScalarMappable(Normalize(*limits), IMAGE_MAP),
-        ax=[upper, lower],
-        label="image number",
-        aspect=35,
-        pad=0.01,
-    )
+    colour_bar([upper, lower], IMAGE_MAP, limits, "image number", aspect=35, pad=0.01)
     return figure
 
 
@@ -218,7 +211,7 @@ def _words(views: FrameViews, images: FrameImages) -> str:
     text = f"from above; {count(len(images.number))} of {plural(images.total, 'image')} oriented"
     empty = len(views.points) - len(with_points)
     text += f", {count(empty)} of them without points" if empty else ""
-    return text + f"; median {count(int(np.median(with_points)))} points a frame"
+    return text + f"; median {count(np.median(with_points))} points a frame"
 
 
 def _bankward(points_wcs_m: ArrayF, centres_wcs_m: ArrayF) -> float:
@@ -231,12 +224,11 @@ def _bankward(points_wcs_m: ArrayF, centres_wcs_m: ArrayF) -> float:
     return float(np.arctan2(east, north))
 
 
-def draw_frames_by_image(*, points: Path, poses: Path, title: str, twin: bool) -> Figure:
+def draw_frames_by_image(*, points: Path, poses: Path, title: str) -> Figure:
     """Cloud by the camera and image poses -> the cloud by image number."""
     images = FrameImages.of(ImagePoses.read(poses))
     return frames_by_image(
         FrameViews.of_cloud(points, images),
         images,
         title=f"Lidar points by the image that orients them: {title}",
-        twin=twin,
     )

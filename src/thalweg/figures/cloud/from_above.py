@@ -1,6 +1,5 @@
 """The survey at a glance: banks, riverbed and track from above, in the colours of a topographic map."""
 
-import json
 from pathlib import Path
 from typing import Any, Final
 
@@ -13,7 +12,7 @@ from matplotlib.figure import Figure
 from pyproj import CRS
 
 from thalweg.bathymetry import FlowLine
-from thalweg.core import ArrayF, Trajectory, iter_laz, read_raster
+from thalweg.core import ArrayF, Trajectory, iter_laz, read_json, read_raster
 from thalweg.figures import (
     HALO,
     VERMILION,
@@ -49,20 +48,19 @@ def draw_from_above(
     level: list[Path],
     soundings: list[Path],
     crs: str,
-    twin: bool,
 ) -> Figure:
     """Trajectory, cloud, bed with its line and water level, soundings on the map -> the survey from above."""
     path = Trajectory.read(trajectory)
     wet, depth_m, cell_m = _water(path, bed, line, level, soundings, crs)
     view = view_of(np.vstack([path.position_wcs_m[path.valid], wet]))
     land = None
-    water_up_m = json.loads(level[0].read_text())["level_m"] if level else 0.0
+    water_up_m = read_json(level[0])["level_m"] if level else 0.0
     if points:
         land = Splat(view)
         for chunk in iter_laz(points[0], 1_000_000):
             land.add(chunk["xyz_m"], chunk["xyz_m"][:, 2] - water_up_m)
     above = "height above the water / m" if level else "height / m"
-    return from_above(path, view, land, wet, depth_m, cell_m=cell_m, above=above, twin=twin)
+    return from_above(path, view, land, wet, depth_m, cell_m=cell_m, above=above)
 
 
 @styled
@@ -75,7 +73,6 @@ def from_above(
     *,
     cell_m: float = 0.0,
     above: str = "height / m",
-    twin: bool = False,
 ) -> Figure:
     """Cloud by height, bed or soundings by depth, track, scale and north.
 
@@ -87,7 +84,6 @@ def from_above(
     wet_m, depth_m : (n, 3) places in the local frame, (n,) their depths.
     cell_m : size of a cell of the bed; 0: the places are soundings, which lie on the track.
     above : what the heights are.
-    twin : whether a digital twin made the data.
     """
     picture = np.full((view.height_px, view.width_px, 3), 255, np.uint8)
     bars: list[tuple[ListedColormap, tuple[float, float], str]] = []
@@ -101,7 +97,7 @@ def from_above(
         limits = (0.0, robust_limits(land.buffers()[1], 1, 97)[1])
         picture = _laid_on(picture, land, LAND, limits, land.radius_px(), shading=1.0)
         bars.append((LAND, limits, above))
-    figure = new_figure(WIDTH_MM * _SHAPE + (14.0 if bars else 2.0), "", twin=twin)
+    figure = new_figure(WIDTH_MM * _SHAPE + (14.0 if bars else 2.0), "")
     rows: Any = [["map"] * max(len(bars), 1)] + ([[name for _, _, name in bars]] if bars else [])
     axes = figure.subplot_mosaic(rows, height_ratios=[45, 1][: len(rows)])
     ax = axes["map"]

@@ -1,12 +1,11 @@
-"""The cloud of a reach: overview, detail, predicted sigma, range, and the twin's bank as a camera sees it."""
+"""The cloud of a reach: overview and a detail of the bank (P1 Fig. 4 and 5)."""
 
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.cm import ScalarMappable
-from matplotlib.colors import Colormap, Normalize
+from matplotlib.colors import Colormap
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
@@ -16,6 +15,7 @@ from thalweg.figures import (
     HEIGHT_MAP,
     INTENSITY_MAP,
     WIDTH_MM,
+    colour_bar,
     count,
     new_figure,
     plural,
@@ -44,83 +44,41 @@ STRAYS: Final = 30
 """Most points above the upper edge of a detail that are taken for strays."""
 
 
-# ---------------------------------------------------------------- overview and detail (P1 Fig. 4 and 5)
-
-
 @styled
 def cloud_overview(
-    cloud: ArrayF | Splat[ObliqueView],
-    trajectory: Trajectory | None = None,
-    *,
-    height_limits_m: tuple[float, float] | None = None,
-    title: str = "Point cloud of the reach",
-    twin: bool = False,
+    splat: Splat[ObliqueView], trajectory: Trajectory, *, title: str = "Point cloud of the reach"
 ) -> Figure:
-    """The cloud of the reach seen obliquely from above, coloured by height.
+    """The cloud of the reach seen obliquely from above, coloured by height, with track, scale bar and north.
 
     Parameters
     ----------
-    cloud : (n, 3) points in wcs, or a `Splat` to which chunks were added with their heights as values.
+    splat : to which chunks were added with their heights as values.
     trajectory : track of the boat, drawn as a line.
-    height_limits_m : heights at the ends of the colour scale; by default percentiles of the picture.
     title : first words of the title.
-    twin : true if the digital twin made the data.
     """
-    splat = cloud if isinstance(cloud, Splat) else _splat_of(cloud)
     view = splat.view
-    heights = splat.buffers()[1]
     # trees would leave the lowest fifth of the colours to a bank, which the survey is about
-    limits = height_limits_m or robust_limits(heights, 0.5, 90.0)
+    limits = robust_limits(splat.buffers()[1], 0.5, 90.0)
     of_all = f" of {count(splat.n_added)}" if splat.n_drawn < splat.n_added else ""
     head = f"{title}, n = {count(splat.n_drawn)}{of_all} points"
-    figure = new_figure(max(reach_mm(view) + 12.0, 60.0), head, twin=twin)
+    tall_mm = 0.84 * WIDTH_MM * (view.height_px / view.width_px + STRIP)
+    figure = new_figure(max(tall_mm + 12.0, 60.0), head)
     ax = figure.add_subplot()
-    label = "height in the local frame / m"
-    draw_reach(figure, ax, splat, HEIGHT_MAP, limits, label=label, trajectory=trajectory)
-    return figure
-
-
-def reach_mm(view: ObliqueView) -> float:
-    """Height on paper of a view of the reach that fills the width beside its colour bar."""
-    return 0.84 * WIDTH_MM * (view.height_px / view.width_px + STRIP)
-
-
-def draw_reach(
-    figure: Figure,
-    ax: Axes,
-    splat: Splat[ObliqueView],
-    colours: Colormap | None,
-    limits: tuple[float, float],
-    *,
-    label: str,
-    trajectory: Trajectory | None = None,
-    shading: float = 1.0,
-) -> None:
-    """The picture of a reach with its colour bar, track, scale bar and north.
-
-    Parameters
-    ----------
-    figure, ax : where.
-    splat : the picture.
-    colours, limits : colour scale of the splat's values; None: they are colours (`pack_rgb`).
-    label : of the colour bar.
-    trajectory : track of the boat, drawn as a line.
-    shading : strength of the eye-dome shading.
-    """
-    view = splat.view
     strip_px = STRIP * view.width_px
-    _show(ax, splat, colours, limits, shading=shading)
+    _show(ax, splat, HEIGHT_MAP, limits, shading=1.0)
     ax.set_axis_off()
-    if trajectory is not None:
-        _draw_track(ax, view, trajectory)
-    ax.set_xlim(0, view.width_px)
-    ax.set_ylim(view.height_px + strip_px, 0)
+    pixels = view.project(trajectory.position_wcs_m)[:, :2]
+    pixels[~trajectory.valid] = np.nan
+    gaps = track_gaps(trajectory)
+    label = "track of the boat" + (f", {plural(len(gaps), 'gap')}" if gaps else "")
+    ax.plot(*pixels.T, color="black", lw=0.9, label=label, gid="track", path_effects=HALO)
+    ax.legend(loc="lower center", frameon=False)
+    ax.set(xlim=(0, view.width_px), ylim=(view.height_px + strip_px, 0))
     scale_bar(ax, span_m=view.width_px * view.pixel_m)
     _draw_north(ax, view, strip_px)
-    if colours is not None:
-        bar = ScalarMappable(Normalize(*limits), colours)
-        look: dict[str, Any] = {"aspect": 25, "shrink": 0.9, "pad": 0.01, "extend": "both"}
-        figure.colorbar(bar, ax=ax, label=label, **look)
+    words = "height in the local frame / m"
+    colour_bar(ax, HEIGHT_MAP, limits, words, aspect=25, shrink=0.9, pad=0.01, extend="both")
+    return figure
 
 
 @styled
@@ -133,7 +91,6 @@ def cloud_detail(
     percentiles: tuple[float, float] = (2.0, 98.0),
     width_px: int = 1800,
     title: str = "Detail of the bank, seen from the water",
-    twin: bool = False,
 ) -> Figure:
     """A stretch of bank as seen from the water, by intensity, and above in colour; both axes to scale.
 
@@ -146,7 +103,6 @@ def cloud_detail(
     percentiles : of the intensities, at the ends of the colour scale.
     width_px : width of the picture.
     title : first words of the title.
-    twin : true if the digital twin made the data.
 
     Raises
     ------
@@ -178,7 +134,7 @@ def cloud_detail(
         looks.insert(0, (pack_rgb(rgb[inside]), None))
     head = f"{title}, n = {count(len(points))} points"
     each_mm = max(0.80 * WIDTH_MM * view.height_px / view.width_px, _LEAST_MM)
-    figure = new_figure(len(looks) * each_mm + 26.0, head, twin=twin)
+    figure = new_figure(len(looks) * each_mm + 26.0, head)
     axes = figure.subplots(len(looks), 1, sharex=True, squeeze=False)[:, 0]
     bottom = high - view.height_px * pixel
     for ax, (values, colours) in zip(axes, looks, strict=True):
@@ -196,21 +152,9 @@ def cloud_detail(
         ax.set_ylabel("height in the local frame / m")
     ax = axes[-1]
     ax.set_xlabel("along the bank / m")
-    figure.colorbar(
-        ScalarMappable(Normalize(*limits), INTENSITY_MAP),
-        ax=ax,
-        aspect=25,
-        pad=0.01,
-        extend="both",
-        label=f"intensity   ({percentiles[0]:g} to {percentiles[1]:g} %)",
-    )
+    words = f"intensity   ({percentiles[0]:g} to {percentiles[1]:g} %)"
+    colour_bar(ax, INTENSITY_MAP, limits, words, aspect=25, pad=0.01, extend="both")
     return figure
-
-
-def _splat_of(points_wcs_m: ArrayF) -> Splat[ObliqueView]:
-    splat = Splat(ObliqueView.fit(points_wcs_m))
-    splat.add(points_wcs_m, points_wcs_m[:, 2])
-    return splat
 
 
 def _show(
@@ -229,31 +173,25 @@ def _show(
     ax.imshow(picture, extent=box, interpolation="antialiased", gid="cloud")
 
 
-def _draw_track(ax: Axes, view: ObliqueView, trajectory: Trajectory) -> None:
-    pixels = view.project(trajectory.position_wcs_m)[:, :2]
-    pixels[~trajectory.valid] = np.nan
-    gaps = track_gaps(trajectory)
-    label = "track of the boat" + (f", {plural(len(gaps), 'gap')}" if gaps else "")
-    ax.plot(*pixels.T, color="black", lw=0.9, label=label, gid="track", path_effects=HALO)
-    ax.legend(loc="lower center", frameon=False)
-
-
 def _draw_north(ax: Axes, view: ObliqueView, strip_px: float) -> None:
     """An arrow to the north in the strip below the picture."""
     middle = np.array([view.width_px - strip_px, view.height_px + 0.5 * strip_px])
     tip = 0.4 * strip_px * view.axes[:2, 1] * np.array([1.0, -1.0])
     look = {"arrowstyle": "-|>", "lw": 1.1, "color": "black", "shrinkA": 6, "shrinkB": 0}
-    place: dict[str, Any] = {
-        "ha": "center",
-        "va": "center",
-        "fontsize": 8,
-        "fontweight": "bold",
-        "annotation_clip": False,
-    }
-    ax.annotate("N", tuple(middle + tip), xytext=tuple(middle - tip), arrowprops=look, **place)
+    ax.annotate(
+        "N",
+        tuple(middle + tip),
+        xytext=tuple(middle - tip),
+        arrowprops=look,
+        ha="center",
+        va="center",
+        fontsize=8,
+        fontweight="bold",
+        annotation_clip=False,
+    )
 
 
-def draw_cloud_detail(*, points: Path, trajectory: Path, title: str, twin: bool) -> Figure:
+def draw_cloud_detail(*, points: Path, trajectory: Path, title: str) -> Figure:
     """Cloud and trajectory -> a detail of the bank by intensity, where photographs saw any in colour, too."""
     sample, track = sample_cloud(points, 500_000), Trajectory.read(trajectory)
     coloured = sample["n_views"] > 0 if "n_views" in sample else np.ones(len(sample["xyz_m"]), dtype=np.bool_)
@@ -271,21 +209,13 @@ def draw_cloud_detail(*, points: Path, trajectory: Path, title: str, twin: bool)
         rgb=rgb,
         segment=segment,
         title=f"Detail of the bank, seen from the water: {title}",
-        twin=twin,
     )
 
 
-def draw_cloud_overview(*, points: Path, trajectory: Path, title: str, twin: bool) -> Figure:
+def draw_cloud_overview(*, points: Path, trajectory: Path, title: str) -> Figure:
     """Cloud and trajectory -> oblique view of the reach."""
     sample, track = sample_cloud(points, 500_000)["xyz_m"], Trajectory.read(trajectory)
     splat = Splat(ObliqueView.fit(sample, azimuth_rad=bankward_azimuth(sample, track)))
     for chunk in iter_laz(points, 1_000_000):
         splat.add(chunk["xyz_m"], chunk["xyz_m"][:, 2])
-    return cloud_overview(splat, track, title=f"Point cloud of the reach: {title}", twin=twin)
-
-
-# ---------------------------------------------------------------- by predicted sigma and by range
-
-
-# ---------------------------------------------------------------- the bank as a camera on the boat would see
-# it
+    return cloud_overview(splat, track, title=f"Point cloud of the reach: {title}")

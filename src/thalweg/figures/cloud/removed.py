@@ -66,7 +66,6 @@ def removed_points(
     *,
     filters: Mapping[str, Any] | None = None,
     title: str = "Points left out of the cloud",
-    twin: bool = False,
 ) -> Figure:
     """What each filter left out: in plan, across the river, from the boat, or over time.
 
@@ -78,7 +77,6 @@ def removed_points(
     trajectory : poses of the boat.
     filters : section ``filters``, whose limits are drawn.
     title : first words of the title.
-    twin : true if the digital twin made the data.
 
     Raises
     ------
@@ -96,7 +94,7 @@ def removed_points(
     share = f" ({_percent(left_out, total)})" if left_out else ""
     rows = max(1, -(-len(shown) // COLUMNS))
     head = f"{title}, n = {count(left_out)} of {count(total)} points{share}"
-    figure = new_figure(PANEL_MM * rows + 24.0, head, twin=twin)
+    figure = new_figure(PANEL_MM * rows + 24.0, head)
     if not shown:
         ax = figure.add_subplot()
         ax.set_axis_off()
@@ -136,15 +134,18 @@ def _entitle(ax: Axes, reason: Reason, n: int, total: int, *, drawn: int, beyond
     ax.set_title(f"{_name(reason)}: n = {count(n)}, {_percent(n, total)}\n{WORDS[reason]}")
     notes = [f"{count(drawn)} drawn"] if drawn + beyond < n else []
     notes += [f"{count(beyond)} beyond the axes"] if beyond else []
-    look: dict[str, Any] = {
-        "ha": "right",
-        "va": "top",
-        "fontsize": 7,
-        "zorder": 9,
-        "path_effects": HALO,
-        "gid": "note",
-    }
-    ax.text(0.99, 0.98, ", ".join(notes), transform=ax.transAxes, **look)
+    ax.text(
+        0.99,
+        0.98,
+        ", ".join(notes),
+        transform=ax.transAxes,
+        ha="right",
+        va="top",
+        fontsize=7,
+        zorder=9,
+        path_effects=HALO,
+        gid="note",
+    )
 
 
 # ---------------------------------------------------------------- kinds of panels
@@ -157,8 +158,7 @@ def _scatter(ax: Axes, xy: ArrayF, limits: ArrayF) -> Drawn:
     """Draw removed points; few of them get large marks. ``limits`` are low and high corner."""
     inside = np.all((xy >= limits[0]) & (xy <= limits[1]), axis=1)
     size = float(np.clip(40.0 / np.sqrt(max(len(xy), 1)), 0.6, 3.0))
-    look: dict[str, Any] = {"mew": 0, "color": VERMILION, "rasterized": True, "zorder": 3}
-    ax.plot(*xy[inside].T, "o", ms=size, **look, gid="removed")
+    ax.plot(*xy[inside].T, "o", ms=size, mew=0, color=VERMILION, rasterized=True, zorder=3, gid="removed")
     ax.plot([], [], "o", ms=3.0, mew=0, color=VERMILION, label="left out")
     return int(inside.sum()), int(np.sum(~inside))
 
@@ -276,9 +276,18 @@ def _over_time(ax: Axes, scene: Scene, reason: Reason) -> Drawn:
     ax.stairs(rate, edges, fill=True, color=VERMILION, gid="removed")
     ax.plot([], [], "o", ms=3.0, mew=0, color=VERMILION, label="left out")
     node_t, valid = scene.trajectory.t_gps_s - first, scene.trajectory.valid
-    look: dict[str, Any] = {"color": "black", "lw": 2.5, "solid_capstyle": "butt", "clip_on": False}
     poses, place = np.where(valid, -0.06, np.nan), ax.get_xaxis_transform()
-    ax.plot(node_t, poses, transform=place, **look, label="times with a pose", gid="poses")
+    ax.plot(
+        node_t,
+        poses,
+        transform=place,
+        color="black",
+        lw=2.5,
+        solid_capstyle="butt",
+        clip_on=False,
+        label="times with a pose",
+        gid="poses",
+    )
     ax.tick_params(axis="x", pad=7)
     ax.set_xlim(edges[0], edges[-1])
     ax.set_ylim(0.0)
@@ -343,7 +352,6 @@ def draw_removed_points(
     max_points: int,
     filters: dict[str, Any],
     title: str,
-    twin: bool,
 ) -> Figure:
     """Cloud, removed points and their counts -> what each filter left out."""
     return removed_points(
@@ -353,5 +361,4 @@ def draw_removed_points(
         Trajectory.read(trajectory),
         filters=filters,
         title=f"Points left out of the cloud: {title}",
-        twin=twin,
     )

@@ -15,7 +15,7 @@ from thalweg.figures.deformation.maps import SCALE_SHARE, signed
 
 
 @styled
-def height_difference(pairs: Sequence[tuple[str, SurfaceDifference]], *, title: str, twin: bool) -> Figure:
+def height_difference(pairs: Sequence[tuple[str, SurfaceDifference]], *, title: str) -> Figure:
     """Difference and standard deviation of each pair, in coordinates of the map."""
     every = np.concatenate([found.raster.height_m.ravel() for _, found in pairs])
     known = np.abs(every[np.isfinite(every)])
@@ -38,7 +38,6 @@ def height_difference(pairs: Sequence[tuple[str, SurfaceDifference]], *, title: 
             )
         ],
         crs="" if raster.frame is None else raster.frame.name,
-        twin=twin,
     )
     for (name, found), one, two in zip(pairs, axes[::2], axes[1::2], strict=True):
         one.set_title(_words(name, 100 * found.raster.height_m))
@@ -59,7 +58,7 @@ def _of_sigma(value_cm: ArrayF) -> str:
     )
 
 
-def draw_height_difference(*, differences: list[Path], title: str, twin: bool) -> Figure:
+def draw_height_difference(*, differences: list[Path], title: str) -> Figure:
     """Files ``dod_<pair>.tif`` -> maps of difference and standard deviation."""
     pairs = [(path.stem.rpartition("_")[2], read_difference(path)) for path in differences]
-    return height_difference(pairs, title=f"Difference of heights: {title}", twin=twin)
+    return height_difference(pairs, title=f"Difference of heights: {title}")

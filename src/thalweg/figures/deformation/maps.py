@@ -12,12 +12,11 @@ from typing import Final
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
-from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 from thalweg.core import ArrayB, ArrayF, read_table
-from thalweg.deformation import CHANGES, CORE_POINTS, STATES, VISIBILITY
+from thalweg.deformation import CHANGES, CORE_POINTS, STATES
 from thalweg.figures import (
     BLUE,
     GREEN,
@@ -28,6 +27,7 @@ from thalweg.figures import (
     SKY,
     VERMILION,
     WIDTH_MM,
+    colour_bar,
     count,
     new_figure,
     number,
@@ -47,16 +47,6 @@ STATE_STYLE: Final[dict[str, tuple[str, str]]] = {
     "no normal": (GREY, "1"),
 }
 """Colour and marker of each state."""
-REASON_STYLE: Final[dict[str, tuple[str, str]]] = {
-    "water": (SKY, "s"),
-    "range": (ORANGE, "^"),
-    "incidence": (PURPLE, "v"),
-    "occlusion": (VERMILION, "D"),
-    "not swept": ("black", "x"),
-    "free space": (GREEN, "o"),
-    "no trajectory": (GREY, "1"),
-}
-"""Colour and marker of each reason why a place was not seen."""
 NOT_SEEN: Final = ("not seen", "not seen in first", "not seen in second")
 """States of places that one epoch or both did not see."""
 BARE: Final = ("erosion", "deposition", "no significant change")
@@ -246,13 +236,11 @@ def _plan_mm(pair: BankPair) -> float:
     return float(np.ptp(pair.into_m) / max(np.ptp(pair.s_m), 1e-6) * DRAWN_MM)
 
 
-def _two_views(
-    pairs: Sequence[BankPair], title: str, extra_mm: float, *, twin: bool
-) -> tuple[Figure, list[Axes]]:
+def _two_views(pairs: Sequence[BankPair], title: str, extra_mm: float) -> tuple[Figure, list[Axes]]:
     """A figure with a plan and a view from the side for each pair; axes (2 pairs,)."""
     plans = [max(1.12 * _plan_mm(pair), 16.0) for pair in pairs]
     heights = [height for plan in plans for height in (plan, FACE_MM)]
-    figure = new_figure(sum(heights) + len(pairs) * 24.0 + extra_mm, title, twin=twin)
+    figure = new_figure(sum(heights) + len(pairs) * 24.0 + extra_mm, title)
     panels = figure.subplots(len(heights), 1, height_ratios=heights, squeeze=False)[:, 0]
     for pair, plan, face in zip(pairs, panels[::2], panels[1::2], strict=True):
         _view_from_above(plan, pair)
@@ -263,15 +251,13 @@ def _two_views(
 
 
 @styled
-def change_map(pairs: Sequence[BankPair], *, title: str, twin: bool) -> Figure:
+def change_map(pairs: Sequence[BankPair], *, title: str) -> Figure:
     """Distance of each core point of bare ground, from above and from the side."""
     inside = [np.abs(pair.table["distance_m"].to_numpy()[pair.bare]) for pair in pairs]
     limit = round_above(max(float(np.percentile(np.concatenate(inside), SCALE_SHARE)), 1e-3))
     norm = Normalize(-100 * limit, 100 * limit)
     n = sum(len(each) for each in inside)
-    figure, panels = _two_views(
-        pairs, f"{title}, n = {count(n)} core\N{NO-BREAK SPACE}points", 20.0, twin=twin
-    )
+    figure, panels = _two_views(pairs, f"{title}, n = {count(n)} core\N{NO-BREAK SPACE}points", 20.0)
     for i, pair in enumerate(pairs):
         distance = 100 * pair.table["distance_m"].to_numpy()
         order = np.argsort(np.abs(distance[pair.bare]))
@@ -286,32 +272,25 @@ def change_map(pairs: Sequence[BankPair], *, title: str, twin: bool) -> Figure:
         beyond = np.abs(distance[pair.bare]) > 100 * limit
         ends = " to ".join(signed(end(distance[pair.bare]), 0) for end in (np.min, np.max))
         panels[2 * i].set_title(
-            f"{pair.words} from above, n = {count(int(pair.bare.sum()))}, from {ends} cm, "
-            f"{count(int(beyond.sum()))} beyond the scale"
+            f"{pair.words} from above, n = {count(pair.bare.sum())}, from {ends} cm, "
+            f"{count(beyond.sum())} beyond the scale"
         )
         panels[2 * i + 1].set_title(
             f"{pair.scene.view}; ×: plants, objects and places without distance, "
-            f"n = {count(int((~pair.bare).sum()))}"
+            f"n = {count((~pair.bare).sum())}"
         )
-    figure.colorbar(
-        ScalarMappable(norm, DISTANCE_MAP),
-        ax=panels,
-        location="bottom",
-        aspect=55,
-        shrink=0.8,
-        pad=0.02,
-        extend="both",
-        label="distance / cm; negative: erosion, positive: deposition",
-    )
+    look = {"location": "bottom", "aspect": 55, "shrink": 0.8, "pad": 0.02, "extend": "both"}
+    words = "distance / cm; negative: erosion, positive: deposition"
+    colour_bar(panels, DISTANCE_MAP, norm, words, **look)
     return figure
 
 
 def draw_change_map(
-    *, changes: list[Path], core_points: Path, spacing_m: float, by_boat: bool, title: str, twin: bool
+    *, changes: list[Path], core_points: Path, spacing_m: float, by_boat: bool, title: str
 ) -> Figure:
     """Compared core points -> distances from above and from the side."""
     pairs = read_pairs(changes, core_points, spacing_m, by_boat=by_boat)
-    return change_map(pairs, title=f"Change: {title}", twin=twin)
+    return change_map(pairs, title=f"Change: {title}")
 
 
 def _with_styles(
@@ -346,12 +325,10 @@ def _legend_under(ax: Axes) -> None:
 
 
 @styled
-def significance_map(pairs: Sequence[BankPair], *, title: str, twin: bool) -> Figure:
+def significance_map(pairs: Sequence[BankPair], *, title: str) -> Figure:
     """What is known of each core point, from above and from the side."""
     n = count(len(pairs[0].s_m))
-    figure, panels = _two_views(
-        pairs, f"{title}, n = {n} core\N{NO-BREAK SPACE}points", 26.0 * len(pairs), twin=twin
-    )
+    figure, panels = _two_views(pairs, f"{title}, n = {n} core\N{NO-BREAK SPACE}points", 26.0 * len(pairs))
     looks = {state: STATE_STYLE[state] for state in STATES}
     for i, pair in enumerate(pairs):
         for ax, y in ((panels[2 * i], pair.into_m), (panels[2 * i + 1], pair.up_m)):
@@ -363,45 +340,8 @@ def significance_map(pairs: Sequence[BankPair], *, title: str, twin: bool) -> Fi
 
 
 def draw_significance_map(
-    *, changes: list[Path], core_points: Path, spacing_m: float, by_boat: bool, title: str, twin: bool
+    *, changes: list[Path], core_points: Path, spacing_m: float, by_boat: bool, title: str
 ) -> Figure:
     """Compared core points -> what is known of each."""
     pairs = read_pairs(changes, core_points, spacing_m, by_boat=by_boat)
-    return significance_map(pairs, title=f"Change: {title}", twin=twin)
-
-
-@styled
-def not_seen(pairs: Sequence[BankPair], seen: Sequence[pd.DataFrame], *, title: str, twin: bool) -> Figure:
-    """Why places were not seen, in both epochs of each pair, from the side."""
-    rows = 2 * len(pairs)
-    figure = new_figure(rows * (FACE_MM + 28.0) + 8.0, title, twin=twin)
-    panels = figure.subplots(rows, 1, squeeze=False)[:, 0]
-    for i, (pair, visibility) in enumerate(zip(pairs, seen, strict=True)):
-        for k in (1, 2):
-            ax = panels[2 * i + k - 1]
-            reason = visibility[f"reason_{k}"].to_numpy(dtype=object)
-            reason = np.where(visibility[f"seen_{k}"].to_numpy(dtype=bool), "seen", reason)
-            _with_styles(ax, pair, pair.up_m, reason, {"seen": ("0.85", "s"), **REASON_STYLE})
-            ax.set_title(f"epoch {pair.name.split('-')[k - 1]}, {pair.scene.view}")
-            view_from_side(ax, pair)
-            _legend_under(ax)
-    figure.align_ylabels(panels)
-    return figure
-
-
-def draw_not_seen(
-    *,
-    changes: list[Path],
-    visibility: list[Path],
-    core_points: Path,
-    spacing_m: float,
-    by_boat: bool,
-    title: str,
-    twin: bool,
-) -> Figure:
-    """Visibility of core points -> where and why each epoch saw none."""
-    pairs = read_pairs(changes, core_points, spacing_m, by_boat=by_boat)
-    seen = [read_table(path, VISIBILITY)[0] for path in visibility]
-    n = count(len(pairs[0].s_m))
-    words = f"Visibility of each epoch: {title}, n = {n} core\N{NO-BREAK SPACE}points"
-    return not_seen(pairs, seen, title=words, twin=twin)
+    return significance_map(pairs, title=f"Change: {title}")

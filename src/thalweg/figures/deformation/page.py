@@ -1,6 +1,5 @@
 """One page on what changed between epochs: the verdict first, then what it rests on, then its limits."""
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from thalweg.core import InputError, read_table, utc_text_from_gps
+from thalweg.core import InputError, read_json, read_table, utc_text_from_gps
 from thalweg.deformation import CHANGES, CORE_POINTS, STATES, VISIBILITY
 from thalweg.figures import Finding, Page, count, number
 from thalweg.figures.accuracy import centimetres
@@ -178,8 +177,8 @@ def read_pair_facts(
             changes=read_table(change, CHANGES)[0],
             visibility=read_table(seen, VISIBILITY)[0],
             area_m2=area,
-            control=json.loads(how.read_text()),
-            registration=json.loads(moved.read_text()),
+            control=read_json(how),
+            registration=read_json(moved),
             volumes=pd.read_csv(volume),
             patches=pd.read_csv(patch),
             difference=pd.read_csv(difference),
@@ -519,13 +518,13 @@ def write_change_page(
 ) -> None:
     """The same from files, as the workflow has them: one of each for a pair; `title`: of the campaign."""
     change_page(
-        [json.loads(path.read_text()) for path in errors],
+        [read_json(path) for path in errors],
         read_pair_facts(
             changes, visibility, control, registrations, volumes, patches, differences, core_points
         ),
         pictures=pictures,
         captions=captions,
-        series=(json.loads(series[0].read_text()), pd.read_csv(series[1])) if series else None,
+        series=(read_json(series[0]), pd.read_csv(series[1])) if series else None,
         truth={path.stem.rpartition("_")[2]: pd.read_csv(path) for path in truth},
         polygons={path.stem.rpartition("_")[2]: pd.read_csv(path) for path in polygons},
         title=f"Change of {scene(by_boat).thing}: {title}",
@@ -599,7 +598,7 @@ def _states(page: Page, pairs: Sequence[PairFacts]) -> None:
                     }
                 )
     units = {"area": "m²", "share": "%", "median distance": "cm", "median sigma": "cm"}
-    page.table(pd.DataFrame(rows), "Core points by state", units, digits=3)
+    page.table(rows, "Core points by state", units, digits=3)
 
 
 def _series(page: Page, facts: Mapping[str, Any], rates: pd.DataFrame, *, by_boat: bool) -> None:
@@ -713,8 +712,8 @@ def _registration(page: Page, pairs: Sequence[PairFacts]) -> None:
             }
         )
     if rows:
-        page.table(pd.DataFrame(rows), "Motion of the second epoch against the first", digits=3)
-        page.table(pd.DataFrame(tests), "Significance of the registration", digits=3)
+        page.table(rows, "Motion of the second epoch against the first", digits=3)
+        page.table(tests, "Significance of the registration", digits=3)
 
 
 def _by_area(page: Page, pair: PairFacts) -> None:
@@ -746,7 +745,7 @@ def _unseen(page: Page, pairs: Sequence[PairFacts]) -> None:
                 names = {"epochs": pair.name.replace("-", " to "), "no data in epoch": epoch}
                 rows.append({**names, "reason": str(reason), "n": int(n), "area": area})
     if rows:
-        page.table(pd.DataFrame(rows), "Core points that an epoch did not see", {"area": "m²"}, digits=3)
+        page.table(rows, "Core points that an epoch did not see", {"area": "m²"}, digits=3)
 
 
 def _epochs(page: Page, epochs: Sequence[Mapping[str, Any]]) -> None:
@@ -765,7 +764,7 @@ def _epochs(page: Page, epochs: Sequence[Mapping[str, Any]]) -> None:
         }
         for i, each in enumerate(epochs, start=1)
     ]
-    page.table(pd.DataFrame(about), "Epochs")
+    page.table(about, "Epochs")
     rows = []
     for i, each in enumerate(epochs, start=1):
         for group in each["groups"]:
@@ -785,7 +784,7 @@ def _epochs(page: Page, epochs: Sequence[Mapping[str, Any]]) -> None:
                     }
                 )
     caption = "Standard deviations along east, north and up; of rotations about these axes"
-    page.table(pd.DataFrame(rows), caption, digits=2)
+    page.table(rows, caption, digits=2)
 
 
 def _truth(page: Page, truth: Mapping[str, pd.DataFrame], polygons: Mapping[str, pd.DataFrame]) -> None:

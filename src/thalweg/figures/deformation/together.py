@@ -20,7 +20,7 @@ SHOWN: Final = 40_000
 
 
 @styled
-def epochs_together(clouds: Sequence[CloudOfEpoch], pair: BankPair, *, title: str, twin: bool) -> Figure:
+def epochs_together(clouds: Sequence[CloudOfEpoch], pair: BankPair, *, title: str) -> Figure:
     """First and last epoch in four panels.
 
     Parameters
@@ -38,7 +38,7 @@ def epochs_together(clouds: Sequence[CloudOfEpoch], pair: BankPair, *, title: st
     wide = float(np.ptp(np.concatenate([s for s, _ in bank])))
     heights = np.clip(np.array([tall, tall, deep, deep]) / max(wide, 1e-9), 0.16, 0.55)
     n = count(len(first.xyz_m) + len(last.xyz_m))
-    figure = new_figure(118.0 * float(heights.sum()) + 92.0, f"{title}, n = {n} points", twin=twin)
+    figure = new_figure(118.0 * float(heights.sum()) + 92.0, f"{title}, n = {n} points")
     panels = figure.subplots(4, 1, height_ratios=heights.tolist(), sharex=True)
     far = [
         cKDTree(each.boat_m).query(xyz)[0] if len(each.boat_m) else None
@@ -106,9 +106,8 @@ def draw_epochs_together(
     spacing_m: float,
     by_boat: bool,
     title: str,
-    twin: bool,
 ) -> Figure:
     """Prepared epochs -> first and last of them together (T Fig. 4.2)."""
     pair = read_pairs(changes[:1], core_points, spacing_m, by_boat=by_boat)[0]
     clouds = read_clouds(points, errors)
-    return epochs_together(clouds, pair, title=f"Two epochs and their distances: {title}", twin=twin)
+    return epochs_together(clouds, pair, title=f"Two epochs and their distances: {title}")

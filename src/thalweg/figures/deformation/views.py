@@ -1,10 +1,9 @@
 """Clouds of epochs as they are: from above, and in profiles."""
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import pandas as pd
@@ -12,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from scipy.spatial import cKDTree
 
-from thalweg.core import ArrayF, utc_text_from_gps
+from thalweg.core import ArrayF, read_json, utc_text_from_gps
 from thalweg.figures import (
     BLUE,
     HEIGHT_MAP,
@@ -51,7 +50,7 @@ def read_clouds(points: Sequence[Path], errors: Sequence[Path]) -> list[CloudOfE
     """Prepared epochs in the order of time: ``points.npz`` and ``errors.json``."""
     found = []
     for i, (path, beside) in enumerate(zip(points, errors, strict=True)):
-        facts = json.loads(beside.read_text())
+        facts = read_json(beside)
         with np.load(path) as stored:
             found.append(
                 CloudOfEpoch(
@@ -69,7 +68,7 @@ def read_clouds(points: Sequence[Path], errors: Sequence[Path]) -> list[CloudOfE
 
 
 @styled
-def epochs_from_above(clouds: Sequence[CloudOfEpoch], *, title: str, twin: bool) -> Figure:
+def epochs_from_above(clouds: Sequence[CloudOfEpoch], *, title: str) -> Figure:
     """Highest points of each epoch from above with the tracks of the boat."""
     everything = np.concatenate([part[:, :2] for each in clouds for part in (each.xyz_m, each.boat_m)])
     low, high = everything.min(axis=0), everything.max(axis=0)
@@ -84,7 +83,6 @@ def epochs_from_above(clouds: Sequence[CloudOfEpoch], *, title: str, twin: bool)
         (low[0], high[0], low[1], high[1]),
         [(_highest(each.xyz_m, low, high), "height / m", look) for each in clouds],
         crs="local frame",
-        twin=twin,
     )
     for ax, each in zip(panels, clouds, strict=False):
         if len(each.boat_m):
@@ -111,10 +109,10 @@ def _highest(xyz_m: ArrayF, low: ArrayF, high: ArrayF) -> ArrayF:
     return np.where(np.isfinite(picture), picture, np.nan).reshape(rows, columns)
 
 
-def draw_epochs_from_above(*, points: list[Path], errors: list[Path], title: str, twin: bool) -> Figure:
+def draw_epochs_from_above(*, points: list[Path], errors: list[Path], title: str) -> Figure:
     """Prepared epochs -> their clouds from above."""
     clouds = read_clouds(points, errors)
-    return epochs_from_above(clouds, title=f"Epochs from above: {title}", twin=twin)
+    return epochs_from_above(clouds, title=f"Epochs from above: {title}")
 
 
 # ---------------------------------------------------------------- profiles
@@ -164,7 +162,7 @@ def without_motion(xyz_m: ArrayF, parameters: dict[str, float], middle_m: ArrayF
 
 
 @styled
-def profiles(cuts: Sequence[tuple[BankPair, Place, ArrayF, ArrayF]], *, title: str, twin: bool) -> Figure:
+def profiles(cuts: Sequence[tuple[BankPair, Place, ArrayF, ArrayF]], *, title: str) -> Figure:
     """Points of both epochs within slabs across the bank or surface.
 
     Parameters
@@ -172,10 +170,10 @@ def profiles(cuts: Sequence[tuple[BankPair, Place, ArrayF, ArrayF]], *, title: s
     cuts : pair, place, points (n, 3) of the first and of the registered second epoch.
     """
     if not cuts:
-        figure = new_figure(30.0, title, twin=twin)
+        figure = new_figure(30.0, title)
         figure.text(0.5, 0.4, "no patch of change: no profile", ha="center")
         return figure
-    figure = new_figure(68.0 * len(cuts) + 20.0, title, twin=twin)
+    figure = new_figure(68.0 * len(cuts) + 20.0, title)
     panels = figure.subplots(len(cuts), 1, squeeze=False)[:, 0]
     for ax, cut in zip(panels, cuts, strict=True):
         _profile(ax, *cut)
@@ -204,9 +202,8 @@ def _profile(ax: Axes, pair: BankPair, place: Place, first_m: ArrayF, second_m: 
         step = -(-max(len(x), 1) // SHOWN)
         ax.plot(x[::step], z[::step], ".", ms=1.0, color=colour, alpha=0.35, rasterized=True, zorder=1)
         mean = _cell_means(x, z, 0.5 * pair.spacing_m)
-        look: dict[str, Any] = {"color": colour, "mec": "white", "mew": 0.4, "zorder": 3, "gid": words}
         label = f"{words}: points and means of cells of {50 * pair.spacing_m:.0f} cm"
-        ax.plot(*mean.T, marker, ms=4.0, **look, label=label)
+        ax.plot(*mean.T, marker, ms=4.0, color=colour, mec="white", mew=0.4, zorder=3, gid=words, label=label)
     near = np.abs(pair.s_m - s) < pair.spacing_m
     near &= np.isin(pair.state, ("erosion", "deposition")) & np.isfinite(distance)
     normals = pair.table[[f"normal_{axis}" for axis in ("east", "north", "up")]].to_numpy()
@@ -251,7 +248,6 @@ def draw_change_profiles(
     spacing_m: float,
     by_boat: bool,
     title: str,
-    twin: bool,
 ) -> Figure:
     """Prepared epochs and what changed -> profiles through the largest changes."""
     clouds = read_clouds(points, errors)
@@ -260,8 +256,8 @@ def draw_change_profiles(
         read_pairs(changes, core_points, spacing_m, by_boat=by_boat), patches, registrations, strict=True
     ):
         first, second = (clouds[int(i) - 1] for i in pair.name.split("-"))
-        motion = json.loads(moved.read_text()).get("parameters")
+        motion = read_json(moved).get("parameters")
         middle = pair.table[["east_m", "north_m", "up_m"]].to_numpy().mean(axis=0)
         after = second.xyz_m if motion is None else without_motion(second.xyz_m, motion, middle)
         cuts += [(pair, place, first.xyz_m, after) for place in places_of(pair, pd.read_csv(patch))]
-    return profiles(cuts, title=f"Profiles across {scene(by_boat).thing}: {title}", twin=twin)
+    return profiles(cuts, title=f"Profiles across {scene(by_boat).thing}: {title}")

@@ -1,8 +1,6 @@
 """A camera that stays: history of its place from picture to picture, and its page."""
 
-import json
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -10,28 +8,37 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from thalweg.accuracy import verdict_of
-from thalweg.figures import BLUE, GREEN, GREY, VERMILION, Finding, Page, count, new_figure, plural, styled
+from thalweg.figures import (
+    BLUE,
+    GREEN,
+    GREY,
+    VERMILION,
+    Finding,
+    Page,
+    Pictures,
+    count,
+    new_figure,
+    plural,
+    styled,
+)
 
 _AXES: Final = (("x", BLUE, "o"), ("y", VERMILION, "s"), ("z", GREEN, "^"))
 _MOST_NAMES: Final = 24
 
 
 @styled
-def pose_history(
-    poses: pd.DataFrame, *, title: str = "Place of a fixed camera", twin: bool = False
-) -> Figure:
+def pose_history(poses: pd.DataFrame, *, title: str = "Place of the fixed camera") -> Figure:
     """Place in each picture less the mean, with the standard deviation by the marks; residuals below.
 
     Parameters
     ----------
     poses : of `thalweg.images.resect_pictures`.
     title : first words of the title.
-    twin : true if the digital twin made the data.
     """
     good = (poses["refused"].fillna("") == "").to_numpy()
     number = np.arange(1, len(poses) + 1, dtype=np.float64)
-    head = f"{title}, n = {count(int(good.sum()))} of {plural(len(poses), 'picture')}"
-    figure = new_figure(130.0, head, twin=twin)
+    head = f"{title}, n = {count(good.sum())} of {plural(len(poses), 'picture')}"
+    figure = new_figure(130.0, head)
     axes = np.ravel(figure.subplots(4, 1, sharex=True))
     for ax, (axis, colour, marker) in zip(axes, _AXES, strict=False):
         sigma = poses[f"sigma_change_{axis}_m"].to_numpy(float)[good]
@@ -65,20 +72,10 @@ def pose_history(
     return figure
 
 
-def draw_pose_history(*, poses: Path, title: str, twin: bool) -> Figure:
-    """Table of poses -> history of the place."""
-    return pose_history(read_poses(poses), title=f"Place of the fixed camera: {title}", twin=twin)
-
-
-def read_poses(path: Path) -> pd.DataFrame:
-    """The table of poses as it was written: names and reasons are text."""
-    return pd.read_csv(path, dtype={"image": str, "refused": str}).fillna({"refused": ""})
-
-
 def fixed_camera_page(
     facts: Mapping[str, Any],
     poses: pd.DataFrame,
-    pictures: Mapping[str, Path | Figure],
+    pictures: Pictures,
     *,
     captions: Mapping[str, str],
     title: str,
@@ -123,30 +120,10 @@ def fixed_camera_page(
             for name, p in facts["lens"].items()
         ),
     ]
-    page = Page(title, f"From picture to picture: {still}.", findings).section("History")
-    page.figures(pictures, captions)
-    shown = poses.drop(columns=[f"q{a}" for a in "xyzw"])
+    page = Page(title, f"From picture to picture: {still}.", findings)
+    page.pictures(pictures, captions, section="History")
+    shown = poses.drop(columns=[f"q{a}" for a in "xyzw"]).fillna({"refused": ""})
     page.section("Pictures").table(shown, "Pose of each picture, or why there is none.", digits=5)
     if facts["notes"]:
         page.section("Notes").lines(facts["notes"])
     return page
-
-
-def write_fixed_camera_page(
-    *,
-    facts: Path,
-    poses: Path,
-    pictures: list[Path],
-    captions: dict[str, str],
-    title: str,
-    twin: bool,
-    page: Path,
-) -> None:
-    """The same from files; no digital twin has such a camera."""
-    fixed_camera_page(
-        json.loads(facts.read_text()),
-        read_poses(poses),
-        {path.stem: path for path in pictures},
-        captions=captions,
-        title=title,
-    ).write(page)

@@ -1,8 +1,8 @@
 """Photographs of the bank: positions with control points, masks."""
 
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from string import ascii_lowercase
 from typing import Any, Final
 
 import numpy as np
@@ -37,6 +37,7 @@ from thalweg.figures import (
     WIDTH_MM,
     Finding,
     Page,
+    Pictures,
     count,
     legend_below,
     marks_in_free_corners,
@@ -62,9 +63,7 @@ _BARS_MM: Final = 52.0
 _AXES: Final = (("east", BLUE, "o"), ("north", VERMILION, "s"), ("up", GREEN, "^"))
 
 EXAMPLES: Final = 3
-MOST_ON_SHEET: Final = 24
-_SHEET_COLUMNS: Final = 4
-_NAME_LETTERS: Final = 26
+_COLUMNS: Final = 4
 _LONGEST_PX: Final = 900
 """Side of a picture in the figure; more would not be seen."""
 _DARKER: Final = 0.42
@@ -89,7 +88,6 @@ def image_positions(
     *,
     trajectory: Trajectory | None = None,
     title: str = "Images and control points",
-    twin: bool = False,
 ) -> Figure:
     """Map of the images and of the control and check points with residual vectors; all components below.
 
@@ -103,7 +101,6 @@ def image_positions(
     report : see `thalweg.images.bundle.job.control_table`.
     trajectory : of the boat by INS, drawn behind the images.
     title : first words of the title.
-    twin : true if the digital twin made the data.
 
     Raises
     ------
@@ -113,7 +110,7 @@ def image_positions(
         raise GeometryError(f"none of {len(poses.images)} images has a pose", expected="at least one")
     points = _with_places(control, report)
     centres = poses.centre_wcs_m[poses.oriented]
-    measured = points[np.isfinite(points["without_east_mm"].to_numpy(np.float64))]
+    measured = points[np.isfinite(points["without_east_mm"].to_numpy())]
     shown = [centres[:, :2], points[["east_m", "north_m"]].to_numpy()]
     low, high = map_extent(np.concatenate(shown), None)
     scale = _scale(measured, float(high[0] - low[0]))
@@ -122,8 +119,8 @@ def image_positions(
     oriented = int(poses.oriented.sum())
     head = f"{title}, n = {count(oriented)} of {plural(len(poses.images), 'image')}"
     roles = points["role"].value_counts()
-    head += "".join(f", {plural(int(roles[role]), f'{role} point')}" for role in ROLES if role in roles)
-    figure = new_figure(map_mm + (_BARS_MM if len(measured) else 0.0), head, twin=twin)
+    head += "".join(f", {plural(roles[role], f'{role} point')}" for role in ROLES if role in roles)
+    figure = new_figure(map_mm + (_BARS_MM if len(measured) else 0.0), head)
     if len(measured):
         plan, bars = figure.subplots(2, 1, height_ratios=[map_mm, _BARS_MM])
         _draw_components(bars, measured)
@@ -138,8 +135,15 @@ def image_positions(
         _draw_vectors(plan, measured, scale)
     named = points if len(points) <= MOST_NAMES else points.iloc[:0]
     for name, east, north in named[["point", "east_m", "north_m"]].to_numpy():
-        look = {"textcoords": "offset points", "fontsize": 7, "zorder": 9, "path_effects": HALO}
-        plan.annotate(name, (east, north), xytext=(4, 4), **look)
+        plan.annotate(
+            name,
+            (east, north),
+            xytext=(4, 4),
+            textcoords="offset points",
+            fontsize=7,
+            zorder=9,
+            path_effects=HALO,
+        )
     plan.ticklabel_format(style="plain", useOffset=False)
     plan.set_xlabel("east / m")
     plan.set_ylabel("north / m")
@@ -170,9 +174,18 @@ def _draw_images(figure: Figure, ax: Axes, poses: ImagePoses, trajectory: Trajec
     ends = centres[:, :2] + 0.02 * float(np.ptp(ax.get_xlim())) * poses.R_wcs_ccs[use][:, :2, 2]
     ax.plot(*np.stack([centres[:, :2], ends]).transpose(2, 0, 1), color="0.35", lw=0.5, zorder=3)
     norm = sigma_norm(sigma_mm)
-    look: dict[str, Any] = {"c": sigma_mm, "cmap": SIGMA_MAP, "norm": norm, "edgecolors": "black", "lw": 0.4}
     dots = ax.scatter(
-        centres[:, 0], centres[:, 1], s=16, **look, zorder=4, gid="images", label="image, with its view"
+        centres[:, 0],
+        centres[:, 1],
+        s=16,
+        c=sigma_mm,
+        cmap=SIGMA_MAP,
+        norm=norm,
+        edgecolors="black",
+        lw=0.4,
+        zorder=4,
+        gid="images",
+        label="image, with its view",
     )
     bar = figure.colorbar(
         dots, ax=ax, shrink=0.9, aspect=25, pad=0.01, extend="max", label="3D position sigma of an image / mm"
@@ -184,7 +197,7 @@ def _draw_lost(ax: Axes, poses: ImagePoses, trajectory: Trajectory) -> None:
     lost = ~poses.oriented & np.isfinite(poses.t_gps_s)
     if lost.any():
         place, _, known = trajectory.at(poses.t_gps_s[lost])
-        words = f"image without a pose, n = {count(int(known.sum()))}"
+        words = f"image without a pose, n = {count(known.sum())}"
         ax.plot(*place[known, :2].T, "x", ms=4.5, color=RED, zorder=5, gid="lost", label=words)
 
 
@@ -195,8 +208,16 @@ def _draw_points(ax: Axes, points: pd.DataFrame) -> None:
     for use, (colour, marker), label, gid in (*kinds, (unused, ("0.4", "x"), words, "left-out")):
         if use.any():
             places = points.loc[use, ["east_m", "north_m"]].to_numpy().T
-            look: dict[str, Any] = {"mfc": colour, "mec": colour if marker == "x" else "black"}
-            ax.plot(*places, marker, ms=6, **look, zorder=7, label=label, gid=gid)
+            ax.plot(
+                *places,
+                marker,
+                ms=6,
+                mfc=colour,
+                mec=colour if marker == "x" else "black",
+                zorder=7,
+                label=label,
+                gid=gid,
+            )
 
 
 def _scale(points: pd.DataFrame, width_m: float) -> float:
@@ -217,26 +238,60 @@ def _draw_vectors(ax: Axes, points: pd.DataFrame, scale: float) -> None:
     off, sigma = _components(points, "without_"), _components(points, "sigma_without_")
     start = points[["east_m", "north_m"]].to_numpy()
     key_mm = round_above(0.5 * float(max(np.hypot(off[:, 0], off[:, 1]).max(), 1e-3)))
-    look: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "scale": 1.0, "width": 0.0028, "zorder": 8}
-    arrows = ax.quiver(*start.T, *(scale * off[:, :2]).T, **look, gid="residuals")
+    arrows = ax.quiver(
+        *start.T,
+        *(scale * off[:, :2]).T,
+        angles="xy",
+        scale_units="xy",
+        scale=1.0,
+        width=0.0028,
+        zorder=8,
+        gid="residuals",
+    )
     for place, spread in zip(start + scale * off[:, :2], sigma[:, :2], strict=True):
         if np.isfinite(spread).all():
-            look = {"facecolor": "none", "edgecolor": "0.3", "lw": 0.7, "zorder": 7}
-            ax.add_patch(Ellipse(place, *(2 * scale * spread), **look, gid="sigma-ellipse"))
+            ax.add_patch(
+                Ellipse(
+                    place,
+                    *(2 * scale * spread),
+                    facecolor="none",
+                    edgecolor="0.3",
+                    lw=0.7,
+                    zorder=7,
+                    gid="sigma-ellipse",
+                )
+            )
     suspect = points["suspect"].to_numpy(bool)
     if suspect.any():
-        look = {"mfc": "none", "mec": RED, "zorder": 8, "label": "suspect", "gid": "suspect"}
-        ax.plot(*start[suspect].T, "o", ms=12, **look)
-    look = {"labelpos": "W", "coordinates": "axes", "fontproperties": {"size": 7}}
-    ax.quiverkey(arrows, 0.985, 1.035, scale * key_mm, f"{key_mm:g} mm", **look)
+        ax.plot(*start[suspect].T, "o", ms=12, mfc="none", mec=RED, zorder=8, label="suspect", gid="suspect")
+    ax.quiverkey(
+        arrows,
+        0.985,
+        1.035,
+        scale * key_mm,
+        f"{key_mm:g} mm",
+        labelpos="W",
+        coordinates="axes",
+        fontproperties={"size": 7},
+    )
 
 
 def _draw_components(ax: Axes, points: pd.DataFrame) -> None:
     off, sigma = _components(points, "without_"), _components(points, "sigma_without_")
     x = np.arange(len(points), dtype=np.float64)
     for k, (axis, colour, marker) in enumerate(_AXES):
-        look: dict[str, Any] = {"elinewidth": 1.0, "capsize": 1.5, "label": axis, "gid": f"component-{axis}"}
-        ax.errorbar(x + 0.22 * (k - 1), off[:, k], sigma[:, k], fmt=marker, ms=3.6, color=colour, **look)
+        ax.errorbar(
+            x + 0.22 * (k - 1),
+            off[:, k],
+            sigma[:, k],
+            fmt=marker,
+            ms=3.6,
+            color=colour,
+            elinewidth=1.0,
+            capsize=1.5,
+            label=axis,
+            gid=f"component-{axis}",
+        )
     ax.axhline(0.0, color="black", lw=0.7, zorder=1)
     ax.set_xlim(-0.6, len(points) - 0.4)
     reach = float(np.nanmax(np.abs(off) + np.nan_to_num(sigma)))
@@ -254,18 +309,18 @@ def _draw_components(ax: Axes, points: pd.DataFrame) -> None:
 
 
 def _components(points: pd.DataFrame, prefix: str) -> ArrayF:
-    return points[[f"{prefix}{axis}_mm" for axis, _, _ in _AXES]].to_numpy(np.float64)
+    return points[[f"{prefix}{axis}_mm" for axis, _, _ in _AXES]].to_numpy()
 
 
 def _words(points: pd.DataFrame) -> str:
-    measured = np.isfinite(points["without_east_mm"].to_numpy(np.float64))
+    measured = np.isfinite(points["without_east_mm"].to_numpy())
     check: AnyArray = ((points["role"] == "check") & (points["images"] > 0)).to_numpy() & measured
     words = "a: residual vectors with the ellipses of their sigmas"
     if not check.any():
         return words
     rmse = np.sqrt(np.mean(_components(points[check], "without_") ** 2, axis=0))
     numbers = ", ".join(f"{axis} {value:.1f}" for (axis, _, _), value in zip(_AXES, rmse, strict=True))
-    return f"{words}\nRMSE of {plural(int(check.sum()), 'check point')}: {numbers} mm"
+    return f"{words}\nRMSE of {plural(check.sum(), 'check point')}: {numbers} mm"
 
 
 def draw_image_positions(
@@ -277,7 +332,6 @@ def draw_image_positions(
     crs: str,
     sigma_m: list[float],
     title: str,
-    twin: bool,
 ) -> Figure:
     """Image poses, control points and their report -> map of both with residual vectors.
 
@@ -291,7 +345,6 @@ def draw_image_positions(
         pd.read_csv(report, dtype={"point": str}),
         trajectory=Trajectory.read(trajectory[0]) if trajectory else None,
         title=f"Images and control points: {title}",
-        twin=twin,
     )
 
 
@@ -300,11 +353,7 @@ def draw_image_positions(
 
 @styled
 def mask_view(
-    table: pd.DataFrame,
-    pictures: Mapping[str, tuple[ArrayU8, ArrayB]],
-    *,
-    title: str = "Masks",
-    twin: bool = False,
+    table: pd.DataFrame, pictures: Mapping[str, tuple[ArrayU8, ArrayB]], *, title: str = "Masks"
 ) -> Figure:
     """Example images with masked parts dark and hatched, and shares of all images below.
 
@@ -313,25 +362,29 @@ def mask_view(
     table : of `thalweg.images.masks.make_masks`, one row per image in order of time.
     pictures : by the names of some images, picture (h, w[, 3]) uint8 and its usable pixels (h, w).
     title : first words of the title.
-    twin : true if the digital twin made the data.
     """
-    share = table["usable_share"].to_numpy(np.float64)
+    share = table["usable_share"].to_numpy()
     numbers = {str(name): k for k, name in enumerate(table["image"])}
     for name, (picture, usable) in pictures.items():
         if name not in numbers or picture.shape[:2] != usable.shape:
             raise InputError(f"picture {name} of shape {picture.shape} with a mask of {usable.shape}")
     n = int(np.isfinite(share).sum())
+    columns = min(len(pictures), _COLUMNS)
+    rows = -(-len(pictures) // columns)
     high = max(p.shape[0] / p.shape[1] for p, _ in pictures.values())
+    tall = rows * min(WIDTH_MM / columns * high, 110.0)
     head = f"{title}: median usable share {100 * np.nanmedian(share):.0f} %, n = {plural(n, 'image')}"
-    figure = new_figure(min(WIDTH_MM / len(pictures) * high, 110.0) + 62.0, head, twin=twin)
-    parts = figure.subfigures(2, 1, height_ratios=[min(WIDTH_MM / len(pictures) * high, 110.0) + 10, 46.0])
-    upper, lower = np.asarray(parts).ravel()
-    axes = np.atleast_1d(upper.subplots(1, len(pictures)))
-    for letter, ax, name in zip("abcdefgh", axes, pictures, strict=False):
+    figure = new_figure(tall + 62.0, head)
+    upper, lower = figure.subfigures(2, 1, height_ratios=[tall + 10.0, 46.0])
+    axes = np.ravel(upper.subplots(rows, columns))
+    for letter, ax, name in zip(ascii_lowercase, axes, pictures, strict=False):
         _picture(ax, *pictures[name])
-        words = f"{letter}: image {numbers[name] + 1}, {100 * share[numbers[name]]:.0f} % usable"
-        ax.set_title(words)
-    _shares(lower.subplots(), table, sorted(numbers[name] for name in pictures), "abcdefgh"[len(pictures)])
+        ax.set_title(f"{letter}: image {numbers[name] + 1}, {100 * share[numbers[name]]:.0f} % usable")
+    for ax in axes[len(pictures) :]:
+        ax.set_axis_off()
+    _shares(
+        lower.subplots(), table, sorted(numbers[name] for name in pictures), ascii_lowercase[len(pictures)]
+    )
     return figure
 
 
@@ -393,7 +446,7 @@ def _shares(ax: Axes, rows: pd.DataFrame, examples: list[int], letter: str) -> N
     # A series of one image has points, no lines.
     marker = "." if len(rows) < 40 else ""
     for column, (label, colour, style) in _LINES.items():
-        percent = 100 * rows.get(column, pd.Series(np.nan, rows.index)).to_numpy(np.float64)
+        percent = 100 * rows.get(column, pd.Series(np.nan, rows.index)).to_numpy()
         if np.isfinite(percent).any() and (np.nanmax(percent) > 0 or column != "moved_share"):
             ax.plot(number, percent, color=colour, ls=style, marker=marker, ms=4, label=label, gid=column)
     for k in examples:
@@ -406,51 +459,11 @@ def _shares(ax: Axes, rows: pd.DataFrame, examples: list[int], letter: str) -> N
     ax.grid()
 
 
-@styled
-def mask_sheet(images: Images, masks: Path, table: pd.DataFrame, *, title: str) -> Figure:
-    """Pictures with what is masked dark and hatched, its shares, and what cannot be told.
-
-    Parameters
-    ----------
-    images : of the series, by name or as files.
-    masks : folder of ``<image>.png``.
-    table : of `thalweg.images.masks.make_masks`; of many, `MOST_ON_SHEET` pictures are shown, evenly chosen.
-    title : first words of the title.
-    """
-    masked = table[np.isfinite(table["usable_share"].to_numpy(np.float64))]
-    if not len(masked):
-        raise CoverageError("no image has a mask", expected="at least one")
-    shown = masked.iloc[np.unique(np.linspace(0, len(masked) - 1, MOST_ON_SHEET).astype(np.int64))]
-    pictures = read_examples([str(name) for name in shown["image"]], images, masks)
-    columns = min(_SHEET_COLUMNS, len(shown))
-    lines = -(-len(shown) // columns)
-    high = max(p.shape[0] / p.shape[1] for p, _ in pictures.values())
-    head = f"{title}: {len(shown)} of {plural(len(table), 'image')}; dark: masked"
-    figure = new_figure(lines * (WIDTH_MM / columns * high + 16.0) + 12.0, head, twin=False)
-    axes = np.ravel(figure.subplots(lines, columns, squeeze=False))
-    for ax, row in zip(axes, shown.to_dict("records"), strict=False):
-        _picture(ax, *pictures[str(row["image"])])
-        shares = [
-            f"{label} {100 * row[column]:.0f} %"
-            for column, (label, _, _) in _LINES.items()
-            if column == "usable_share" or row[column] > 0
-        ]
-        name = str(row["image"])
-        name = name if len(name) <= _NAME_LETTERS else f"...{name[-_NAME_LETTERS:]}"
-        words = f"{name}\n{', '.join(shares)}"
-        ax.set_title(
-            f"{words}\ncannot tell: {row['cannot_tell']}" if row["cannot_tell"] else words, fontsize=6
-        )
-    for ax in axes[len(shown) :]:
-        ax.remove()
-    return figure
-
-
-def draw_mask_view(*, images: list[Path], masks: Path, table: Path, title: str, twin: bool) -> Figure:
+def draw_mask_view(*, images: list[Path], masks: Path, table: Path, title: str) -> Figure:
     """Images and their masks -> figure of what is usable for matching."""
     rows = pd.read_csv(table, keep_default_na=True).fillna({"note": ""})
     pictures = read_examples(example_names(rows), named_images(images), masks)
-    return mask_view(rows, pictures, title=title, twin=twin)
+    return mask_view(rows, pictures, title=title)
 
 
 # ---------------------------------------------------------------- page of photographs oriented without a boat
@@ -492,7 +505,7 @@ def orientation_page(
     facts: Mapping[str, Any],
     images: pd.DataFrame,
     control: pd.DataFrame,
-    pictures: Mapping[str, Path | Figure],
+    pictures: Pictures,
     *,
     captions: Mapping[str, str],
     title: str,
@@ -532,8 +545,7 @@ def orientation_page(
     if "model_frame" in facts:
         lead = f"{facts['notes'][0]}."
     page = Page(title, lead, findings)
-    if pictures:
-        page.section("Positions").figures(pictures, captions)
+    page.pictures(pictures, captions, section="Positions")
     if len(control):
         _add_points(
             page.section("Control and check points"),
@@ -560,7 +572,7 @@ def finished_page(
     facts: Mapping[str, Any],
     poses: pd.DataFrame,
     control: pd.DataFrame,
-    pictures: Mapping[str, Path | Figure],
+    pictures: Pictures,
     *,
     captions: Mapping[str, str],
     title: str,
@@ -587,8 +599,7 @@ def finished_page(
     if check:
         findings.append(_check_finding(check))
         lead = f"Surveyed points: {JUDGED[findings[-1].verdict]}."
-    page = Page(title, lead, findings).section("Positions")
-    page.figures(pictures, captions)
+    page = Page(title, lead, findings).pictures(pictures, captions, section="Positions")
     if len(control):
         _add_points(
             page.section("Surveyed points"),
@@ -600,47 +611,3 @@ def finished_page(
     page.section("Photographs").table(poses.drop(columns=[f"q{a}" for a in "xyzw"]), "Poses.", digits=9)
     page.section("Notes").lines(list(facts["notes"]) or ["none"])
     return page
-
-
-def write_finished_page(
-    *,
-    facts: Path,
-    poses: Path,
-    control: Path,
-    pictures: list[Path],
-    captions: dict[str, str],
-    title: str,
-    twin: bool,
-    page: Path,
-) -> None:
-    """The same from files; a digital twin has no photographs without a boat."""
-    finished_page(
-        json.loads(facts.read_text()),
-        pd.read_csv(poses),
-        pd.read_csv(control, dtype={"point": str}),
-        {path.stem: path for path in pictures},
-        captions=captions,
-        title=title,
-    ).write(page)
-
-
-def write_orientation_page(
-    *,
-    facts: Path,
-    images: Path,
-    control: Path,
-    pictures: list[Path],
-    captions: dict[str, str],
-    title: str,
-    twin: bool,
-    page: Path,
-) -> None:
-    """The same from files; a digital twin has no photographs without a boat."""
-    orientation_page(
-        json.loads(facts.read_text()),
-        pd.read_csv(images),
-        pd.read_csv(control, dtype={"point": str}),
-        {path.stem: path for path in pictures},
-        captions=captions,
-        title=title,
-    ).write(page)

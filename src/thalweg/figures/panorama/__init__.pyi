@@ -1,2 +1,1 @@
-from .panoramas import panorama_picture as panorama_picture
 from .rig import rig_field as rig_field, rig_residuals as rig_residuals

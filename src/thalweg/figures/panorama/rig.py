@@ -17,13 +17,11 @@ from thalweg.settings.sections import Rig
 COLOURS: Final = {"front": BLUE, "back": VERMILION}
 
 
-def draw_rig_field(
-    *, images: list[Path], residuals: Path, calibration: Path, rig: Rig, title: str, twin: bool
-) -> Figure:
+def draw_rig_field(*, images: list[Path], residuals: Path, calibration: Path, rig: Rig, title: str) -> Figure:
     """Files of the field, residuals and calibration of a rig -> the file with most marks, in both lenses."""
     views, table = _best_file(images, residuals, rig)
     found = read_rig(calibration, rig)
-    return rig_field(views, table, found, title=f"Field of the rig: {title}", twin=twin)
+    return rig_field(views, table, found, title=f"Field of the rig: {title}")
 
 
 def _best_file(images: list[Path], residuals: Path, rig: Rig) -> tuple[dict[str, ArrayU8], pd.DataFrame]:
@@ -36,14 +34,12 @@ def _best_file(images: list[Path], residuals: Path, rig: Rig) -> tuple[dict[str,
 
 def _pixels(table: pd.DataFrame, camera: Camera) -> ArrayF:
     """Where marks (n, 2) of a lens are, by their angle from the axis and azimuth."""
-    t, a = (np.deg2rad(table[name].to_numpy(np.float64)) for name in ("angle_deg", "azimuth_deg"))
+    t, a = (np.deg2rad(table[name].to_numpy()) for name in ("angle_deg", "azimuth_deg"))
     return camera.project(np.stack([np.sin(t) * np.cos(a), np.sin(t) * np.sin(a), np.cos(t)], axis=1))
 
 
 @styled
-def rig_field(
-    views: Mapping[str, ArrayU8], table: pd.DataFrame, rig: CalibratedRig, *, title: str, twin: bool
-) -> Figure:
+def rig_field(views: Mapping[str, ArrayU8], table: pd.DataFrame, rig: CalibratedRig, *, title: str) -> Figure:
     """Marks of a field in both image circles of a file, with their residuals.
 
     Parameters
@@ -52,10 +48,9 @@ def rig_field(
     table : their rows of the residuals: lens, angle_deg, azimuth_deg, vx_px, vy_px, used.
     rig : calibrated; says where angles and azimuths lie in a view.
     title : first words of the title.
-    twin : true if the digital twin made the data.
     """
     times = 300
-    figure = new_figure(95.0, f"{title}, n = {count(int(table['used'].sum()))} marks", twin=twin)
+    figure = new_figure(95.0, f"{title}, n = {count(table['used'].sum())} marks")
     for ax, (lens, view) in zip(figure.subplots(1, 2), views.items(), strict=True):
         mine = table[table["lens"] == lens]
         x, y = _pixels(mine, rig.cameras[lens]).T
@@ -77,23 +72,17 @@ def rig_field(
     return figure
 
 
-def draw_rig_residuals(*, residuals: Path, title: str, twin: bool) -> Figure:
-    """Residuals of the marks of a rig -> their parts along and across the radius, over the angle of view."""
-    return rig_residuals(pd.read_csv(residuals), title=f"Residuals of the rig: {title}", twin=twin)
-
-
 @styled
-def rig_residuals(table: pd.DataFrame, *, title: str, twin: bool) -> Figure:
+def rig_residuals(table: pd.DataFrame, *, title: str = "Residuals of the rig") -> Figure:
     """Radial and tangential residuals of both lenses over the angle from the axis.
 
     Parameters
     ----------
     table : lens, angle_deg, azimuth_deg, vx_px, vy_px, used.
     title : first words of the title.
-    twin : true if the digital twin made the data.
     """
     used = table[table["used"]]
-    figure = new_figure(100.0, f"{title}, n = {count(len(used))} marks of {count(len(table))}", twin=twin)
+    figure = new_figure(100.0, f"{title}, n = {count(len(used))} marks of {count(len(table))}")
     axes = figure.subplots(2, 2, sharex=True, sharey=True)
     limit = 4.0 * float(np.sqrt(np.square(used[["vx_px", "vy_px"]].to_numpy()).mean()))
     for row, lens in enumerate(COLOURS):
@@ -108,8 +97,16 @@ def rig_residuals(table: pd.DataFrame, *, title: str, twin: bool) -> Figure:
             ax.plot(angle, v, ".", markersize=1.5, color=COLOURS[lens], rasterized=True)
             classes = pd.Series(v).groupby(10.0 * np.floor(angle / 10.0)).agg(["mean", "sem", "size"])
             classes = classes[classes["size"] >= 10]
-            look = {"color": "black", "fmt": "o-", "markersize": 3, "capsize": 2, "linewidth": 0.8}
-            ax.errorbar(classes.index + 5.0, classes["mean"], 2 * classes["sem"], **look)
+            ax.errorbar(
+                classes.index + 5.0,
+                classes["mean"],
+                2 * classes["sem"],
+                color="black",
+                fmt="o-",
+                markersize=3,
+                capsize=2,
+                linewidth=0.8,
+            )
             ax.set_title(f"{lens} lens, {name}, rms {np.sqrt(np.mean(v**2)):.3f} px", fontsize=9)
             ax.set_ylim(-limit, limit)
     for ax in axes[1]:

@@ -23,14 +23,30 @@ from thalweg.accuracy import (
     range_facts,
 )
 from thalweg.core import ArrayF, InputError, read_table, root_mean_square
-from thalweg.figures import BLUE, GREEN, GREY, HALO, VERMILION, count, legend_below, new_figure, styled
-from thalweg.figures.accuracy import centimetres, compared, round_limit_m
+from thalweg.figures import (
+    BLUE,
+    GREEN,
+    GREY,
+    HALO,
+    PURPLE,
+    VERMILION,
+    count,
+    legend_below,
+    new_figure,
+    styled,
+)
+from thalweg.figures.accuracy import centimetres, compared, outlier_rule, round_limit_m
 
-STYLE: Final = {"ins": (BLUE, "o"), "camera": (VERMILION, "s"), "fused": (GREEN, "^")}
+STYLE: Final = {
+    "ins": (BLUE, "o"),
+    "camera": (VERMILION, "s"),
+    "fused": (GREEN, "^"),
+    "strips": (PURPLE, "D"),
+}
 """Colour and marker of each chain."""
-WIDTHS: Final = {"ins": 2.6, "camera": 1.8, "fused": 1.0}
+WIDTHS: Final = {"ins": 2.6, "camera": 1.8, "fused": 1.0, "strips": 0.7}
 """Of lines that may lie upon each other: the later and thinner one leaves the others visible."""
-IN_WORDS: Final = {"ins": "INS", "camera": "camera", "fused": "fused"}
+IN_WORDS: Final = {"ins": "INS", "camera": "camera", "fused": "fused", "strips": "strips"}
 PUBLISHED_FROM: Final = {"ins": "T Table 3.1", "camera": "P2 Table 1"}
 BINS: Final = 81
 SIGMAS: Final = 5.0
@@ -43,40 +59,44 @@ TOP_SHARE: Final = 0.995
 def chains_by_range(
     table: pd.DataFrame,
     *,
-    outlier_rule: str = "",
+    outlier_nmads: float | None = None,
     title: str = "Distances to the reference by range and trajectory",
-    twin: bool = False,
 ) -> Figure:
     """RMSE by range for all chains, achieved and predicted; the error budgets; points per class.
 
     Parameters
     ----------
     table : of `thalweg.accuracy.solutions.chains_by_range`.
-    outlier_rule : sentence on what the outlier rule is.
+    outlier_nmads : limit of the outlier rule; None: there is none.
     title : first words of the title.
-    twin : true if the digital twin made the data.
 
     """
     rows, names = _rows(table)
     n = max(int(rows[f"{name}_n"].sum()) for name in names)
-    figure = new_figure(165.0, f"{title}, n = {count(n)} points", twin=twin)
+    figure = new_figure(165.0, f"{title}, n = {count(n)} points")
     upper, middle, lower = figure.subplots(3, 1, sharex=True, height_ratios=[2.2, 1.9, 1.0])
-    r = rows["range_m"].to_numpy(np.float64)
+    r = rows["range_m"].to_numpy()
     _draw_achieved(upper, rows, r, names)
     words = "a: RMSE of the distances, achieved (solid) and predicted (dashed)"
-    upper.set_title("\n".join(filter(None, [words, outlier_rule])))
+    upper.set_title(words + outlier_rule(outlier_nmads))
     _draw_theory(middle, rows, r, names)
     for name in names:
-        of_class = rows[f"{name}_n"].to_numpy(np.float64)
-        look = {"where": "mid", "color": STYLE[name][0], "lw": WIDTHS[name], "gid": f"counts-{name}"}
-        lower.step(r, np.where(of_class > 0, of_class, np.nan), **look)
+        of_class = rows[f"{name}_n"].to_numpy()
+        lower.step(
+            r,
+            np.where(of_class > 0, of_class, np.nan),
+            where="mid",
+            color=STYLE[name][0],
+            lw=WIDTHS[name],
+            gid=f"counts-{name}",
+        )
     lower.set_yscale("log")
     lower.set_ylim(0.7, None)
     lower.set_ylabel("points")
     lower.set_title(f"c: points per class of 1 m; dotted line: {LEAST}, fewer are drawn hollow in a")
     lower.axhline(LEAST, color=GREY, lw=0.8, ls=":")
     lower.yaxis.set_major_locator(LogLocator(numticks=5))
-    lower.yaxis.set_major_formatter(FuncFormatter(lambda value, _: count(int(value)) if value >= 1 else ""))
+    lower.yaxis.set_major_formatter(FuncFormatter(lambda value, _: count(value) if value >= 1 else ""))
     lower.yaxis.set_minor_formatter(NullFormatter())
     lower.set_xlabel("range / m")
     lower.set_xlim(0.0, _farthest(rows, r, names))
@@ -93,7 +113,6 @@ def chain_histograms(
     *,
     limit_m: float | None = None,
     title: str = "Distances to the reference by trajectory",
-    twin: bool = False,
 ) -> Figure:
     """Normalised histograms of the distances of all chains with fitted normal distributions.
 
@@ -102,7 +121,6 @@ def chain_histograms(
     tables : chain -> table of kind ``cloud_to_mesh``.
     limit_m : distance at both ends of the axis.
     title : first words of the title.
-    twin : true if the digital twin made the data.
 
     Raises
     ------
@@ -113,10 +131,10 @@ def chain_histograms(
     if not names:
         raise InputError("no chain", expected=f"at least one of {', '.join(CHAINS)}")
     used = {name: compared(tables[name]) for name in names}
-    distances = {name: used[name]["distance_m"].to_numpy(np.float64) for name in names}
+    distances = {name: used[name]["distance_m"].to_numpy() for name in names}
     limit = limit_m or max(round_limit_m(d) for d in distances.values())
     n = sum(d.size for d in distances.values())
-    figure = new_figure(98.0, f"{title}, n = {count(n)} points of {len(names)} clouds", twin=twin)
+    figure = new_figure(98.0, f"{title}, n = {count(n)} points of {len(names)} clouds")
     left, right = figure.subplots(1, 2, width_ratios=[1.5, 1.0])
     for name in names:
         _draw_histogram(left, distances[name], ~used[name]["outlier"].to_numpy(bool), name, limit)
@@ -151,7 +169,7 @@ def _rows(table: pd.DataFrame) -> tuple[pd.DataFrame, list[str]]:
 
 def _farthest(rows: pd.DataFrame, r: ArrayF, names: Sequence[str]) -> float:
     """Ranges beyond which hardly a point lies are not drawn."""
-    n = sum(rows[f"{name}_n"].to_numpy(np.float64) for name in names)
+    n = sum(rows[f"{name}_n"].to_numpy() for name in names)
     share = np.cumsum(n) / np.sum(n)
     return float(r[min(int(np.searchsorted(share, TOP_SHARE)), len(r) - 1)]) + 1.0
 
@@ -162,17 +180,24 @@ def _draw_achieved(ax: Axes, rows: pd.DataFrame, r: ArrayF, names: Sequence[str]
     for name in names:
         colour, marker = STYLE[name]
         observed, predicted = (
-            1e3 * rows[f"{name}_rmse_{what}_m"].to_numpy(np.float64) for what in ("observed", "predicted")
+            1e3 * rows[f"{name}_rmse_{what}_m"].to_numpy() for what in ("observed", "predicted")
         )
         many = rows[f"{name}_n"].to_numpy() >= LEAST
-        total = count(int(rows[f"{name}_n"].sum()))
+        total = count(rows[f"{name}_n"].sum())
         ax.plot(r, observed, color=colour, lw=1.0, zorder=3)
         words = f"{IN_WORDS[name]}, achieved, n = {total}"
         look: dict[str, Any] = {"color": colour, "ms": 3.2, "zorder": 4}
         ax.plot(r[many], observed[many], marker, **look, label=words, gid=f"observed-{name}")
         ax.plot(r[~many], observed[~many], marker, **look, mfc="white")
-        look = {"color": colour, "lw": 1.5, "label": f"{IN_WORDS[name]}, predicted"}
-        ax.plot(r, predicted, "--", **look, gid=f"predicted-{name}")
+        ax.plot(
+            r,
+            predicted,
+            "--",
+            color=colour,
+            lw=1.5,
+            label=f"{IN_WORDS[name]}, predicted",
+            gid=f"predicted-{name}",
+        )
         tops += [observed[many & inside], predicted[many & inside]]
     values = np.concatenate(tops)
     values = values[np.isfinite(values)]
@@ -186,25 +211,29 @@ def _draw_theory(ax: Axes, rows: pd.DataFrame, r: ArrayF, names: Sequence[str]) 
     ends: list[float] = []
     at = min(int(np.searchsorted(r, 0.85 * _farthest(rows, r, names))), len(r) - 1)
     known = {
-        name: 1e3 * rows[f"published_{name}_3d_m"].to_numpy(np.float64)
+        name: 1e3 * rows[f"published_{name}_3d_m"].to_numpy()
         for name in names
         if f"published_{name}_3d_m" in rows.columns
     }
     for name in names:
         colour = STYLE[name][0]
-        own = 1e3 * rows[f"{name}_rmse_predicted_3d_m"].to_numpy(np.float64)
+        own = 1e3 * rows[f"{name}_rmse_predicted_3d_m"].to_numpy()
         ax.plot(r, own, color=colour, lw=WIDTHS[name], ls="--", gid=f"predicted-3d-{name}")
         if name in known and np.isfinite(known[name][at]):
             ax.plot(r, known[name], color=colour, lw=1.1, ls=":", gid=f"published-{name}")
             ends.append(float(known[name][at]))
             words = f"{IN_WORDS[name]}, {PUBLISHED_FROM[name]}"
-            look: dict[str, Any] = {
-                "textcoords": "offset points",
-                "fontsize": 7,
-                "color": colour,
-                "path_effects": HALO,
-            }
-            ax.annotate(words, (r[at], known[name][at]), xytext=(0, 6), **look, ha="right", zorder=6)
+            ax.annotate(
+                words,
+                (r[at], known[name][at]),
+                xytext=(0, 6),
+                textcoords="offset points",
+                fontsize=7,
+                color=colour,
+                path_effects=HALO,
+                ha="right",
+                zorder=6,
+            )
     low, high = PUBLISHED_CROSSING_M
     ax.axvspan(low, high, color="0.88", lw=0, zorder=0)
     words = f"published curves cross\nbetween {low:g} and {high:g} m"
@@ -216,10 +245,20 @@ def _draw_theory(ax: Axes, rows: pd.DataFrame, r: ArrayF, names: Sequence[str]) 
         else:
             words += f"\nhere (dashed): at {own_m:.1f} m"
             ax.axvline(own_m, color="black", lw=0.8, ls="--", gid="own-crossing")
-    look = {"textcoords": "offset points", "fontsize": 7, "zorder": 6, "path_effects": HALO}
-    place: dict[str, Any] = {"xycoords": ("data", "axes fraction"), "xytext": (4, 0)}
-    ax.annotate(words, (high, 0.97), **place, **look, ha="left", va="top", annotation_clip=True)
-    shown = [1e3 * rows[f"{name}_rmse_predicted_3d_m"].to_numpy(np.float64) for name in names]
+    ax.annotate(
+        words,
+        (high, 0.97),
+        xycoords=("data", "axes fraction"),
+        xytext=(4, 0),
+        textcoords="offset points",
+        fontsize=7,
+        zorder=6,
+        path_effects=HALO,
+        ha="left",
+        va="top",
+        annotation_clip=True,
+    )
+    shown = [1e3 * rows[f"{name}_rmse_predicted_3d_m"].to_numpy() for name in names]
     inside = r <= _farthest(rows, r, names)
     highest = max([*(float(np.nanmax(s[inside])) for s in shown), *ends])
     ax.set_ylim(0.0, 1.25 * highest)
@@ -259,22 +298,10 @@ def _draw_normalised(ax: Axes, z: ArrayF, name: str) -> None:
     ax.stairs(n / (z.size * np.diff(edges)), edges, color=STYLE[name][0], lw=1.2, gid=f"normalised-{name}")
 
 
-def draw_chain_histograms(*, distances: list[Path], title: str, twin: bool) -> Figure:
+def draw_chain_histograms(*, distances: list[Path], title: str) -> Figure:
     """Comparisons with the reference, in the order of `CHAINS` -> histograms of the distances."""
-    tables = zip(CHAINS, distances, strict=True)
+    tables = zip(CHAINS, distances, strict=False)
     return chain_histograms(
         {name: read_table(path, CLOUD_TO_MESH)[0] for name, path in tables},
         title=f"Distances to the reference by trajectory: {title}",
-        twin=twin,
-    )
-
-
-def draw_chains_by_range(*, by_range: Path, outlier_nmads: float, title: str, twin: bool) -> Figure:
-    """Range classes of all chains -> distances by range, achieved and predicted, and the error budgets."""
-    return chains_by_range(
-        pd.read_csv(by_range),
-        outlier_rule=f"without points whose distance over its sigma is farther than {outlier_nmads:g} NMAD "
-        "from the median",
-        title=f"Distances to the reference by range and trajectory: {title}",
-        twin=twin,
     )

@@ -1,6 +1,5 @@
 """The page on INS, camera and fused trajectory."""
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -26,7 +25,7 @@ from thalweg.accuracy import (
     outage_table,
     value,
 )
-from thalweg.core import Trajectory, utc_text_from_gps
+from thalweg.core import Trajectory, read_json, utc_text_from_gps
 from thalweg.figures import Finding, Page, count, number, plural
 from thalweg.figures.accuracy import centimetres
 from thalweg.figures.solutions.comparison import IN_WORDS
@@ -56,7 +55,12 @@ PUBLISHED_WORDS: Final = (
     "and error budgets by which the INS is better beyond 11 to 13 m. That was another boat, river and "
     "reference; nothing here is fitted to these numbers."
 )
-BY_NAME: Final = {"ins": "the INS", "camera": "the camera", "fused": "the fused trajectory"}
+BY_NAME: Final = {
+    "ins": "the INS",
+    "camera": "the camera",
+    "fused": "the fused trajectory",
+    "strips": "the strips",
+}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -95,7 +99,7 @@ def trajectory_comparison_page(
     costs: Costs | None = None,
     pictures: Sequence[Path] = (),
     captions: Mapping[str, str] | None = None,
-    title: str = "INS, camera and fused trajectory",
+    title: str = "Trajectories compared",
     twin: bool = False,
 ) -> Page:
     """The page that compares the chains.
@@ -168,7 +172,7 @@ def write_trajectory_comparison_page(
     Parameters
     ----------
     control, truth : none, or one table.
-    trajectories : in the order of `CHAINS`.
+    trajectories : in the order of `CHAINS`; strips are last, where they were adjusted.
     steps : chain -> results of its own jobs, whose records tell their computing times.
     title : of the campaign.
     page : target.
@@ -176,20 +180,20 @@ def write_trajectory_comparison_page(
     trajectory_comparison_page(
         pd.read_csv(chains),
         pd.read_csv(by_range),
-        json.loads(facts.read_text()),
+        read_json(facts),
         truth=pd.read_csv(truth[0]) if truth else None,
         costs=Costs(
             control=pd.read_csv(control[0]) if control else None,
-            images=json.loads(camera_facts.read_text())["images_used"],
+            images=read_json(camera_facts)["images_used"],
             seconds=computing_seconds(steps),
             outages=outage_table(
-                json.loads(fused_facts.read_text())["outages"],
-                {name: Trajectory.read(path) for name, path in zip(CHAINS, trajectories, strict=True)},
+                read_json(fused_facts)["outages"],
+                {name: Trajectory.read(path) for name, path in zip(CHAINS, trajectories, strict=False)},
             ),
         ),
         pictures=pictures,
         captions=captions,
-        title=f"INS, camera and fused trajectory: {title}",
+        title=f"Trajectories compared: {title}",
         twin=twin,
     ).write(page)
 
@@ -236,7 +240,7 @@ def _ranges(page: Page, by_range: pd.DataFrame, facts: Mapping[str, Any]) -> Non
         for name in names:
             enough = row[f"{name}_n"] >= LEAST
             line |= {
-                f"n, {IN_WORDS[name]}": count(int(row[f"{name}_n"])),
+                f"n, {IN_WORDS[name]}": count(row[f"{name}_n"]),
                 f"{IN_WORDS[name]}": number(1e3 * row[f"{name}_rmse_observed_m"] if enough else np.nan),
                 f"{IN_WORDS[name]}, predicted": number(1e3 * row[f"{name}_rmse_predicted_m"]),
             }
@@ -247,7 +251,7 @@ def _ranges(page: Page, by_range: pd.DataFrame, facts: Mapping[str, Any]) -> Non
         f"RMSE in mm, {facts['points']}, every {EVERY_RANGE} m (all classes: chains_by_range.csv); fewer "
         f"than {LEAST} points: no RMSE"
     )
-    page.table(pd.DataFrame(out), caption, {"range": "m"})
+    page.table(out, caption, {"range": "m"})
 
 
 def _truth(page: Page, truth: pd.DataFrame) -> None:
@@ -302,8 +306,8 @@ def certainty(table: pd.DataFrame, first: str, second: str) -> str:
     limit = CERTAIN * float(np.sqrt(1 / (2 * n_first) + 1 / (2 * n_second)))
     certain = "" if np.log(ratio) > limit else "not "
     return (
-        f"its difference from {BY_NAME[second]} is {certain}significant (effective n = {n_first:.0f} and "
-        f"{n_second:.0f}; up to {100 * (np.exp(limit) - 1):.0f} % by chance)"
+        f"its difference from {BY_NAME[second]} is {certain}significant (with {n_first:.0f} and "
+        f"{n_second:.0f} independent values a ratio of up to {np.exp(limit):.1f} may be chance)"
     )
 
 
@@ -518,5 +522,5 @@ def computing_seconds(steps: Mapping[str, Sequence[str | Path]]) -> dict[str, fl
     for chain, results in steps.items():
         records = [Path(f"{str(result).rstrip('/')}.meta.json") for result in results]
         if records and all(record.is_file() for record in records):
-            out[chain] = float(sum(json.loads(record.read_text())["wall_s"] for record in records))
+            out[chain] = float(sum(read_json(record)["wall_s"] for record in records))
     return out

@@ -23,7 +23,7 @@ def gnss_page(solution: PpkSolution, *, title: str) -> Page:
     title : heading.
     """
     facts, table = solution.report.details, solution.positions
-    sigma = table[["sigma_east_m", "sigma_north_m", "sigma_up_m"]].median().to_numpy(np.float64)
+    sigma = table[["sigma_east_m", "sigma_north_m", "sigma_up_m"]].median().to_numpy()
     fixed = (
         f"{100 * facts['fix_ratio']:.1f} % of {count(facts['n_rover_epochs'])} epochs have fixed ambiguities"
     )
@@ -53,7 +53,7 @@ def gnss_page(solution: PpkSolution, *, title: str) -> Page:
             "boat that is level and heads along its course.",
         )
     except ThalwegError as error:  # a track too short to draw is a result all the same
-        page.figure(empty_figure(title, str(error), twin=False), "No picture.")
+        page.figure(empty_figure(title, str(error)), "No picture.")
     page.section("Fixes")
     refused = [(REFUSALS[why], n) for why, n in facts["n_fixes_refused"].items()]
     page.table(

@@ -66,7 +66,6 @@ def survey_map(
     cloud_wcs_m: ArrayF | None = None,
     crs: str = "",
     title: str = "Survey map",
-    twin: bool = False,
 ) -> Figure:
     """Track of the boat in plan view by time, with fix quality, gaps and cloud.
 
@@ -77,19 +76,18 @@ def survey_map(
     cloud_wcs_m : (n, 3) grey picture behind the track.
     crs : name of the map grid of the campaign, for the note on frames.
     title : first words of the title.
-    twin : true if the digital twin made the data.
     """
     valid = trajectory.valid
     east_north = trajectory.position_wcs_m[:, :2]
     low, high = map_extent(east_north[valid], cloud_wcs_m)
     first, last = (utc_text_from_gps(t, 0) for t in trajectory.span())
-    head = f"{title}, n = {count(int(valid.sum()))} poses, {first[:10]} {first[11:19]} to {last[11:19]} UTC"
-    figure = new_figure(plan_height_mm(high[0] - low[0], high[1] - low[1]), head, twin=twin)
+    head = f"{title}, n = {count(valid.sum())} poses, {first[:10]} {first[11:19]} to {last[11:19]} UTC"
+    figure = new_figure(plan_height_mm(high[0] - low[0], high[1] - low[1]), head)
     ax = figure.add_subplot()
     if cloud_wcs_m is not None and len(cloud_wcs_m):
         _draw_cloud(ax, cloud_wcs_m, low, high)
     elapsed = trajectory.t_gps_s - trajectory.t_gps_s[valid][0]
-    scale = Normalize(0.0, float(elapsed[valid][-1]))
+    scale = Normalize(0.0, elapsed[valid][-1])
     lines = _draw_plan(ax, trajectory, elapsed, TIME_MAP, scale, (low, high), grid=crs)
     figure.colorbar(lines, ax=ax, label="time since the start / s", shrink=0.8, aspect=30, pad=0.01)
     if gaps := track_gaps(trajectory):
@@ -180,18 +178,20 @@ def _draw_fixes(ax: Axes, trajectory: Trajectory, positions: pd.DataFrame) -> No
     fixes = use["fix"].to_numpy()
     for fix, colour, marker in fix_styles(fixes):
         here = fixes == fix
-        label = f"{fix.replace('_', ' ')}, n = {count(int(here.sum()))} epochs"
+        label = f"{fix.replace('_', ' ')}, n = {count(here.sum())} epochs"
         if fix in GOOD_FIXES:
             ax.plot([], [], color="0.3", lw=1.8, label=label)
         else:
-            look: dict[str, Any] = {
-                "ls": "none",
-                "marker": marker,
-                "ms": 4,
-                "color": colour,
-                "rasterized": True,
-            }
-            ax.plot(*enu[here, :2].T, **look, zorder=5, label=label)
+            ax.plot(
+                *enu[here, :2].T,
+                ls="none",
+                marker=marker,
+                ms=4,
+                color=colour,
+                rasterized=True,
+                zorder=5,
+                label=label,
+            )
 
 
 def draw_ends(ax: Axes, trajectory: Trajectory) -> None:
@@ -240,14 +240,7 @@ def plain_numbers(axis: Axis, norm: Normalize) -> None:
 
 
 def draw_survey_map(
-    *,
-    trajectory: Path,
-    positions: Path,
-    points: list[Path],
-    max_points: int,
-    crs: str,
-    title: str,
-    twin: bool,
+    *, trajectory: Path, positions: Path, points: list[Path], max_points: int, crs: str, title: str
 ) -> Figure:
     """Trajectory, positions and cloud -> survey map."""
     return survey_map(
@@ -256,7 +249,6 @@ def draw_survey_map(
         cloud_wcs_m=sample_cloud(points[0], max_points)["xyz_m"] if points else None,
         crs=crs,
         title=f"Survey map: {title}",
-        twin=twin,
     )
 
 
@@ -264,14 +256,13 @@ def draw_survey_map(
 
 
 @styled
-def trajectory_sheet(trajectory: Trajectory, *, title: str = "Trajectory", twin: bool = False) -> Figure:
+def trajectory_sheet(trajectory: Trajectory, *, title: str = "Trajectory") -> Figure:
     """Plan view coloured by horizontal sigma with gaps; below it all sigmas and gaps over time.
 
     Parameters
     ----------
     trajectory : nodes of the ics origin with their covariances.
     title : first words of the title.
-    twin : true if the digital twin made the data.
 
     Raises
     ------
@@ -293,13 +284,13 @@ def trajectory_sheet(trajectory: Trajectory, *, title: str = "Trajectory", twin:
     holes = gap_intervals(trajectory)
     low, high = map_extent(trajectory.position_wcs_m[valid, :2], None)
     map_mm = min(plan_height_mm(high[0] - low[0], high[1] - low[1]), MAP_MM)
-    head = f"{title}, n = {count(int(valid.sum()))} valid poses of {count(len(valid))}"
+    head = f"{title}, n = {count(valid.sum())} valid poses of {count(len(valid))}"
     head += f", {plural(len(holes), 'gap')}"
     if holes:
         head += f" of {sum(b - a for a, b in holes):.1f} s in all"
-    figure = new_figure(map_mm + _PANELS_MM, head, twin=twin)
+    figure = new_figure(map_mm + _PANELS_MM, head)
     plan, *panels = figure.subplots(3, 1, height_ratios=[map_mm, 0.5 * _PANELS_MM, 0.5 * _PANELS_MM])
-    unit, factor = ("m", 1.0) if float(np.nanmax(sigma_m)) >= 1.0 else ("cm", 100.0)
+    unit, factor = ("m", 1.0) if np.nanmax(sigma_m) >= 1.0 else ("cm", 100.0)
     horizontal = factor * np.hypot(sigma_m[:, 0], sigma_m[:, 1])
     scale = sigma_norm(horizontal)
     lines = _draw_plan(plan, trajectory, horizontal, SIGMA_MAP, scale, (low, high))
@@ -318,8 +309,16 @@ def trajectory_sheet(trajectory: Trajectory, *, title: str = "Trajectory", twin:
         least_s = 0.002 * (t[-1] - t[0])
         for a, b in holes:
             more = 0.5 * max(0.0, least_s - (b - a))
-            look = {"facecolor": "1.0", "edgecolor": RED, "hatch": "//////", "lw": 0.5, "gid": "gap-span"}
-            ax.axvspan(date_of(a - more), date_of(b + more), zorder=1.5, **look)
+            ax.axvspan(
+                date_of(a - more),
+                date_of(b + more),
+                zorder=1.5,
+                facecolor="1.0",
+                edgecolor=RED,
+                hatch="//////",
+                lw=0.5,
+                gid="gap-span",
+            )
     panels[0].tick_params(labelbottom=False)
     panels[0].set_xlabel("")
     figure.align_ylabels(panels)
@@ -344,7 +343,7 @@ def _draw_sigmas(ax: Axes, t_gps_s: ArrayF, sigma: ArrayF, names: tuple[str, ...
     positive = sigma[np.isfinite(sigma) & (sigma > 0)]
     if positive.size and positive.max() > LOG_RATIO * positive.min():
         ax.set_yscale("log")
-        ax.set_ylim(0.7 * float(positive.min()), 1.4 * float(positive.max()))
+        ax.set_ylim(0.7 * positive.min(), 1.4 * positive.max())
         plain_numbers(ax.yaxis, LogNorm())
     else:
         ax.set_ylim(0.0, 1.15 * (float(positive.max()) if positive.size else 1.0))
@@ -370,8 +369,3 @@ def utc_axis(ax: Axes, start_gps_s: float, end_gps_s: float) -> None:
 def date_of(t_gps_s: ArrayLike) -> Any:
     """Matplotlib's date numbers (days since 1970) of adjusted GPS times."""
     return unix_from_gps(t_gps_s) / 86_400.0
-
-
-def draw_trajectory(*, trajectory: Path, title: str, twin: bool) -> Figure:
-    """Trajectory -> sheet of the track with sigmas and gaps."""
-    return trajectory_sheet(Trajectory.read(trajectory), title=f"Trajectory: {title}", twin=twin)

@@ -1,7 +1,5 @@
 """All streams on the time axis."""
 
-from collections.abc import Mapping
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -34,11 +32,7 @@ def length_s(report: IntegrityReport) -> float:
 
 @styled
 def streams_in_time(
-    reports: list[IntegrityReport],
-    *,
-    lags: Mapping[str, str] | None = None,
-    title: str = "Streams in time",
-    twin: bool = False,
+    reports: list[IntegrityReport], streams: pd.DataFrame, *, title: str = "Streams in time"
 ) -> Figure:
     """One bar a stream on the UTC axis, gaps, unsynchronised parts, rates, counts, lags that are certain.
 
@@ -49,9 +43,8 @@ def streams_in_time(
     Parameters
     ----------
     reports : one report a stream, drawn from top to bottom.
-    lags : stream -> its lag in words, if it is more than chance.
+    streams : table ``timing/streams.csv``: lags against other streams; those are told that are certain.
     title : first words of the title.
-    twin : true if the digital twin made the data.
 
     Raises
     ------
@@ -59,13 +52,19 @@ def streams_in_time(
     """
     if not reports:
         raise InputError("no stream to draw", expected="at least one integrity report")
+    certain = streams[streams["lag_significant"].astype(str) == "True"]
+    lags = {
+        row["stream"]: f"{'LATE' if row['lag_s'] > 0 else 'EARLY'} against {row['lag_against']} by "
+        f"{1e3 * abs(row['lag_s']):.3g} ± {1e3 * row['sigma_lag_s']:.3g} ms"
+        for row in certain.to_dict("records")
+    }
     start, end = time_span(reports)
     records = sum(_main_count(report)[1] for report in reports)
     head = f"{title}, n = {len(reports)} streams, {count(records)} records"
-    figure = new_figure(ROW_MM * len(reports) + 33.0, head, twin=twin)
+    figure = new_figure(ROW_MM * len(reports) + 33.0, head)
     ax = figure.subplots()
     for row, report in enumerate(reports):
-        _draw_stream(ax, row, report, start, end, (lags or {}).get(report.stream, ""))
+        _draw_stream(ax, row, report, start, end, lags.get(report.stream, ""))
     ax.set_ylim(len(reports) - 0.4, -0.6)
     ax.set_yticks(range(len(reports)), [_row_name(report) for report in reports])
     if any(r.synchronised for r in reports):
@@ -193,20 +192,4 @@ def _draw_legend(ax: Axes) -> None:
     ]
     ax.legend(
         handles=handles, loc="lower left", bbox_to_anchor=(0, 1.0), ncols=4, frameon=False, borderaxespad=0.2
-    )
-
-
-def draw_streams_in_time(*, reports: list[Path], streams: Path, title: str, twin: bool) -> Figure:
-    """Integrity reports and table of streams -> all streams on the time axis."""
-    table = pd.read_csv(streams)
-    certain = table[table["lag_significant"].astype(str) == "True"]
-    return streams_in_time(
-        [IntegrityReport.read(path) for path in reports],
-        lags={
-            row["stream"]: f"{'LATE' if row['lag_s'] > 0 else 'EARLY'} against {row['lag_against']} by "
-            f"{1e3 * abs(row['lag_s']):.3g} ± {1e3 * row['sigma_lag_s']:.3g} ms"
-            for row in certain.to_dict("records")
-        },
-        title=f"Streams in time: {title}",
-        twin=twin,
     )

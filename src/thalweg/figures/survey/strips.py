@@ -5,7 +5,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 from scipy.stats import binned_statistic
 
-from thalweg.figures import BLUE, GREEN, VERMILION, Finding, Page, count, drawn, new_figure, styled
+from thalweg.figures import BLUE, GREEN, VERMILION, Finding, Page, count, new_figure, styled
 from thalweg.lidar import LEAST_TOLD, POSE, Adjusted
 
 _BINS = 30
@@ -40,14 +40,14 @@ def strips_page(found: Adjusted, *, title: str, twin: bool, notes: list[str]) ->
     )
     page.section("Strips")
     page.figure(
-        drawn(distances, found.observations, title=title, twin=twin),
+        distances(found.observations, title=title, twin=twin),
         "Distances of the observations from the planes of all passes, root mean square by range (left) and "
         "over time (middle), before and after. Right: residuals over their standard deviations, and the "
         "normal density.",
     )
     page.section("Poses")
     page.figure(
-        drawn(corrections, found.knots, title=title, twin=twin),
+        corrections(found.knots, title=title, twin=twin),
         "Corrections of the poses; band: ± 2 sigma, dashed: ± 2 sigma before the adjustment.",
     )
     told = pd.DataFrame({"error": list(facts["told"]), "share": list(facts["told"].values())})
@@ -63,9 +63,9 @@ def strips_page(found: Adjusted, *, title: str, twin: bool, notes: list[str]) ->
 
 
 @styled
-def distances(observations: pd.DataFrame, *, title: str, twin: bool) -> Figure:
+def distances(observations: pd.DataFrame, *, title: str) -> Figure:
     """Distances of strips before and after by range and time, and the residuals' histogram."""
-    figure = new_figure(70, f"{title}, n = {count(len(observations))} distances", twin=twin)
+    figure = new_figure(70, f"{title}, n = {count(len(observations))} distances")
     axes = figure.subplots(1, 3)
     for ax, column, label in zip(axes, ("range_m", "t_gps_s"), ("range / m", "time / s"), strict=False):
         x = observations[column].to_numpy() - (observations[column].min() if column == "t_gps_s" else 0.0)
@@ -86,9 +86,9 @@ def distances(observations: pd.DataFrame, *, title: str, twin: bool) -> Figure:
 
 
 @styled
-def corrections(knots: pd.DataFrame, *, title: str, twin: bool) -> Figure:
+def corrections(knots: pd.DataFrame, *, title: str) -> Figure:
     """Corrections over time, each with its sigma before and after."""
-    figure = new_figure(110, f"{title}, n = {count(len(knots))} knots", twin=twin)
+    figure = new_figure(110, f"{title}, n = {count(len(knots))} knots")
     axes = figure.subplots(3, 2, sharex=True)
     t = knots["t_gps_s"] - knots["t_gps_s"].iloc[0]
     for i, name in enumerate(POSE):

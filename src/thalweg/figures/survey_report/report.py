@@ -491,7 +491,6 @@ def _uncertainty(page: _Report, path: Trajectory) -> None:
             )
         ]  # fmt: skip
         page.table(("sounding", "median", "95 % are below"), rows, "Predicted uncertainty of the soundings.")
-        page.figures("sounding_errors")
         found = (page.json("bathymetry/soundings.json") or {})["crossings"]
         page.text(
             f"Lines cross at {count(found['n'])} places, where heights differ by {_cm(found['rms_m'])} "
@@ -622,7 +621,7 @@ def _change(page: _Report, crs: CRS, settings: Mapping[str, Any]) -> tuple[list[
         ]
         caption = f"Registration on stable ground, {words}, model {found['model']}."
         page.table(("parameter (turns in mrad)", "value", "sigma"), rows, caption)
-    page.figures("epochs_from_above", "stable_ground", "not_seen")
+    page.figures("epochs_from_above", "stable_ground")
     page.section("Change")
     for pair in pairs:
         words = f"epochs {pair.replace('-', ' to ')}"
@@ -640,8 +639,8 @@ def _change(page: _Report, crs: CRS, settings: Mapping[str, Any]) -> tuple[list[
         ]
         columns = ("patch", "area [m²]", "volume [m³]", "mean distance")
         page.table(columns, rows, f"Largest of {count(len(patches))} patches of significant change, {words}.")
-    page.figures("change_map", "significance_map", "level_of_detection", "height_difference", "volume_along")
-    page.figures("retreat_along", "time_series", "change_profiles")
+    page.figures("change_map", "significance_map", "height_difference", "volume_along")
+    page.figures("retreat_along", "change_profiles")
     return [("Epochs", ", ".join(settings["epochs"])), ("Map grid", crs.name)], 0.0
 
 

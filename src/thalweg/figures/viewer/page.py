@@ -384,9 +384,10 @@ def write_viewer(
         "ramps": {name: base64.b64encode(_ramp(ramp)).decode() for name, ramp in _ramps(facts).items()},
         "sigma": [SIGMA_LEAST_M, SIGMA_DECADES * np.log(10) / SIGMA_STEPS],
     }
-    every = "all" if n_shown == view.n_total else f"{count(n_shown)} of"
-    lead = f"{len(panoramas)} panoramas, point cloud," if panoramas else "Point cloud,"
-    lead = f"{lead} {every} {count(view.n_total)} points. {_place(view.frame)}"
+    thinned = "" if n_shown == view.n_total else f", thinned to {count(n_shown)} for the browser"
+    clouds = "a point cloud" if len(view.clouds) < 2 else f"{len(view.clouds)} clouds"
+    lead = f"{len(panoramas)} panoramas and {clouds}" if panoramas else clouds[0].upper() + clouds[1:]
+    lead = f"{lead} of {count(view.n_total)} points{thinned}. {_place(view.frame)}"
     parts = {
         "title": escape(title),
         "lead": escape(lead),

@@ -494,7 +494,10 @@ def parts_agreement(problem: Problem, x: State, tracks: Tracks, model: Correlati
     part, parts = _parts(problem, tracks)
     if parts < 2 or not layout.n_interior:
         return Agreement(square=0.0, degrees=0, parts=parts)
-    found = [_lens_alone(bare, layout, state, _only(tracks, part == k), model) for k in range(parts)]
+    found = [
+        _lens_alone(bare, layout, state, tracks.chosen((part == k)[tracks.image]), model)
+        for k in range(parts)
+    ]
     whole, right = sum(S for S, _ in found), sum(s for _, s in found)
     scale = np.sqrt(np.maximum(np.diag(np.asarray(whole)), 1e-300))
     total, rank = _square(np.asarray(whole), np.asarray(right), scale)
@@ -522,25 +525,6 @@ def _parts(problem: Problem, tracks: Tracks) -> tuple[ArrayI, int]:
     for rows in own:
         part[rows] = np.arange(len(rows)) * parts // max(len(rows), 1)
     return part[layout.exposure], parts
-
-
-def _only(tracks: Tracks, images: ArrayB) -> Tracks:
-    """The marks in some images (i,), of points that keep two of them."""
-    point = np.repeat(np.arange(len(tracks.point)), np.diff(tracks.first))
-    rows = np.flatnonzero(images[tracks.image])
-    count = np.bincount(point[rows], minlength=len(tracks.point))
-    rows = rows[count[point[rows]] >= 2]
-    kept, first = np.unique(point[rows], return_index=True)
-    return Tracks(
-        point=tracks.point[kept],
-        first=np.append(first, len(rows)).astype(np.int64),
-        mark=tracks.mark[rows],
-        image=tracks.image[rows],
-        xy_px=tracks.xy_px[rows],
-        sigma_px=tracks.sigma_px[rows],
-        view=tracks.view[rows],
-        along=tracks.along[rows],
-    )
 
 
 def _lens_alone(

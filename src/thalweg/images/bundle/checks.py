@@ -1,7 +1,7 @@
 """Datum and consistency of an oriented block: what control points hold, and whether it lies at the boat."""
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final
 
@@ -20,7 +20,6 @@ from thalweg.images.bundle.adjustment import (
 from thalweg.images.bundle.problem import Antenna, Problem
 from thalweg.images.model import (
     CURE_LINE,
-    ControlMarks,
     ControlPoints,
     ImageBlock,
     ImagePoses,
@@ -28,7 +27,6 @@ from thalweg.images.model import (
     angles_between,
     is_line,
     mean_rotation,
-    start_from_control,
 )
 from thalweg.settings.sections import BlockAdjustment
 
@@ -45,22 +43,21 @@ _TOO_GOOD: Final = 1e-3
 Interiors = Camera | Mapping[str, Camera] | None
 """Given interior orientation: of all cameras of a block, or by their names; cameras without are estimated."""
 
+_CHECK_POINTS: Final = (
+    "Check CRS, unit (metres), order and heights (upwards, above the ellipsoid) of the coordinates of the "
+    "control points, their names, their marks (pixels of the stored picture, x to the right, y down)"
+)
 MOST_M: Final = 20.0
 """Median distance of cameras from their predictions that is believed, as for imported orientations."""
 MOST_DEG: Final = 45.0
 """Median angle that is believed; a mount by hand is off by some degrees."""
 _SIGMAS: Final = 4.0
 _BETTER: Final = 0.25
-_FITS: Final = 0.5
-"""Score of another reading (distance over limit, misfit in metres) over that of the points as given."""
 _GEOID_M: Final = (15.0, 110.0)
 """Heights of geoids above the ellipsoid are within +-107 m; below 15 m other causes are likelier."""
 _LEVEL_M: Final = 3.0
 _STEEP_M: Final = 6.0
 """Height of a bank within a few metres beside a point, with the error of a block placed by its track."""
-_CLOCK_S: Final = 7200.0
-_SCALE: Final = 1.5
-"""Ratio of the block's sizes by control points and by predictions up to which they may be the same."""
 _APART_M: Final = 0.3
 """Median distance of cameras from their predictions below which their clock is not doubted."""
 _LEAST_IN_TIME: Final = 8
@@ -115,46 +112,28 @@ def check_datum(
     )
 
 
-def check_control(
-    placed: ImageBlock,
-    control: ControlPoints,
-    marks: ControlMarks,
-    result: ControlResult,
-    demoted: Sequence[str],
-    predictions: ImagePoses | None,
-) -> None:
-    """Refuse control points most of which contradict each other where another reading of them does not.
+def check_control(control: ControlPoints, result: ControlResult, demoted: Sequence[str]) -> None:
+    """Refuse control points most of which contradict each other by far.
 
     Parameters
     ----------
-    placed : the block in the world before the adjustment.
     demoted : names of points that were made check points because they contradict.
 
     Raises
     ------
-    GeometryError : such a reading; it is named.
+    GeometryError : half of the points and more are off, by a median of several sigmas.
     """
     wrong: ArrayB = result.suspect | np.isin(np.array(control.names, object), list(demoted))
-    if 2 * int(wrong.sum()) <= len(wrong):
+    apart = float(np.sqrt(np.nanmedian(result.test) / 3)) if len(wrong) else 0.0
+    if 2 * int(wrong.sum()) <= len(wrong) or apart <= _NO_BLOCK:
         return
-    other = other_reading(placed, control, marks, Expected.of(placed, predictions))
-    apart = float(np.sqrt(np.nanmedian(result.test) / 3))
-    if other is None and apart > _NO_BLOCK:
-        away = float(np.nanmedian(np.linalg.norm(result.without_m, axis=1)))
-        raise GeometryError(
-            f"{int(wrong.sum())} of {len(wrong)} control and check points contradict the others, by a median "
-            f"of {away:.2f} m, {apart:.0f} times what their sigmas allow",
-            expected="points that agree with the block",
-            cure="Check coordinates and CRS of the points, their marks, and the interior orientation of the "
-            "camera; state larger standard deviations if the survey of the points is worse",
-        )
-    if other is None:
-        return
+    away = float(np.nanmedian(np.linalg.norm(result.without_m, axis=1)))
     raise GeometryError(
-        f"{int(wrong.sum())} of {len(wrong)} control and check points contradict the others; {other[0]} "
-        "would fit",
+        f"{int(wrong.sum())} of {len(wrong)} control and check points contradict the others, by a median "
+        f"of {away:.2f} m, {apart:.0f} times what their sigmas allow",
         expected="points that agree with the block",
-        cure=other[1],
+        cure=f"{_CHECK_POINTS}, and the interior orientation of the camera; state larger standard deviations "
+        "if the survey of the points is worse",
     )
 
 
@@ -312,9 +291,7 @@ class Expected:
         return float(np.median(np.linalg.norm(off, axis=1)))
 
 
-def check_start(
-    block: ImageBlock, start: Similarity, expected: Expected, control: ControlPoints, marks: ControlMarks
-) -> list[str]:
+def check_start(block: ImageBlock, start: Similarity, expected: Expected) -> list[str]:
     """Compare a block that control points have put into the world with the predicted poses.
 
     Returns
@@ -323,7 +300,7 @@ def check_start(
 
     Raises
     ------
-    GeometryError : the block lies elsewhere; the message says which reading of the points would fit.
+    GeometryError : the block lies elsewhere.
     """
     if len(expected.at) < LEAST:
         return []
@@ -336,23 +313,16 @@ def check_start(
     level_off = abs(height) > level and scatter < level and flat <= expected.limit_m
     if away <= expected.limit_m and not level_off:
         return []
-    other = other_reading(block, control, marks, expected)
-    if level_off and other is None:
+    if level_off:
         raise _heights(height, flat)
-    shift_s, left = _in_time(off + expected.centre_wcs_m, expected)
-    if other is None and left < _BETTER * away and left <= expected.limit_m:
-        return [
-            f"The images lie {away:.0f} m from where the trajectory was by their times, and {left:.1f} m "
-            f"with times {shift_s:+.1f} s: the clock of the camera is off (images.clock)"
-        ]
+    in_time, notes = fitted_in_time(block, expected)
+    if notes and in_time.away_m(start, block) <= min(_BETTER * away, expected.limit_m):
+        return notes
     raise GeometryError(
-        f"the control points put the images a median of {away:.0f} m away from the trajectory"
-        + (f"; {other[0]} would fit" if other else ""),
+        f"the control points put the images a median of {away:.0f} m away from the trajectory",
         expected=f"at most {expected.limit_m:.0f} m",
-        cure=other[1]
-        if other
-        else "Check the CRS of the control points, their heights, the clock of the camera, by which the "
-        "prediction goes, and that the points belong to this survey",
+        cure=f"{_CHECK_POINTS}, the clock of the camera, by which the prediction goes, and that the points "
+        "belong to this survey",
     )
 
 
@@ -442,70 +412,6 @@ def check_attitudes(placed: ImageBlock, expected: Expected) -> None:
     )
 
 
-def other_reading(
-    block: ImageBlock, control: ControlPoints, marks: ControlMarks, expected: Expected
-) -> tuple[str, str] | None:
-    """Words and cure of a usual mistake without which points, marks and trajectory fit much better."""
-    best: tuple[float, tuple[str, str]] | None = None
-    for words, cure, points, px in _readings(block, control, marks):
-        found = _fit(block, points, px, expected)
-        if found is None or found[0] > expected.limit_m:
-            continue
-        score = found[0] / expected.limit_m + found[1]
-        if best is None or score < best[0]:
-            best = score, (words, cure)
-    given = _fit(block, control, marks, expected)
-    # mirrored points may lie near by chance: they fit worse among themselves
-    if best is None or (given and best[0] > _FITS * (given[0] / expected.limit_m + given[1])):
-        return None
-    return best[1]
-
-
-def _fit(
-    block: ImageBlock, control: ControlPoints, marks: ControlMarks, expected: Expected
-) -> tuple[float, float] | None:
-    """Distance from the predictions and median misfit, metres; None without a fit."""
-    try:
-        start = start_from_control(block, control, marks)
-    except GeometryError:
-        return None
-    if len(expected.at) >= LEAST:
-        scale = fit_points(block.centre_block_m[expected.at], expected.centre_wcs_m, scaled=True)[2]
-        # points that are shrunk to nothing are near to everything
-        if not 1 / _SCALE < start.scale / scale < _SCALE:
-            return None
-    return expected.away_m(start, block), float(np.nanmedian(start.misfit_m))
-
-
-def _readings(
-    block: ImageBlock, control: ControlPoints, marks: ControlMarks
-) -> Iterator[tuple[str, str, ControlPoints, ControlMarks]]:
-    xyz = control.points_wcs_m
-    order = "Swap the columns of the control points, or their names"
-    for words, cure, points in (
-        ("with east and north swapped they", order, xyz[:, [1, 0, 2]]),
-        ("with heights as depths they", "Heights count upwards", xyz * [1.0, 1.0, -1.0]),
-        ("decimetres", "Write the coordinates in metres", xyz * 0.1),
-        ("centimetres", "Write the coordinates in metres", xyz * 0.01),
-        ("millimetres", "Write the coordinates in metres", xyz * 0.001),
-        ("feet", "Write the coordinates in metres", xyz * 0.3048),
-    ):
-        yield words, cure, replace(control, points_wcs_m=points), marks
-    sizes = np.array([block.cameras[c].size_px for c in block.camera], np.float64).reshape(-1, 2)
-    w, h = sizes[marks.image].T if len(marks.image) else (np.empty(0), np.empty(0))
-    x, y = marks.xy_px.T
-    turned: Sequence[tuple[str, str, AnyArray]] = (
-        ("marks with y counted upwards", "Count pixels from the upper left corner", np.stack([x, h - y], 1)),
-        ("marks with x and y swapped", "Swap the columns of the marks", np.stack([y, x], 1)),
-        ("marks of images of half the size", "Measure in these images", np.stack([2 * x, 2 * y], 1)),
-        ("marks of images of twice the size", "Measure in these images", np.stack([x / 2, y / 2], 1)),
-    )
-    for words, cure, xy in turned:
-        inside = (xy >= 0).all() and (xy[:, 0] <= w).all() and (xy[:, 1] <= h).all()
-        if inside:
-            yield words, cure, control, replace(marks, xy_px=xy)
-
-
 def _heights(height: float, flat: float) -> GeometryError:
     words = (
         f"the control points put the images {abs(height):.1f} m {'below' if height < 0 else 'above'} the "
@@ -522,26 +428,6 @@ def _heights(height: float, flat: float) -> GeometryError:
             else "Check the heights of the control points, and of the base station"
         ),
     )
-
-
-def _in_time(centre: ArrayF, expected: Expected) -> tuple[float, float]:
-    """Shift of the images' times that fits the predicted track best, seconds, and the distance it leaves."""
-    known = np.isfinite(expected.t_s)
-    if known.sum() < LEAST:
-        return 0.0, np.inf
-    order = np.argsort(expected.t_s[known], kind="stable")
-    t, track, own = (a[known][order] for a in (expected.t_s, expected.centre_wcs_m, centre))
-    span = t[-1] - t[0]
-    best = (0.0, np.inf)
-    for shift in np.linspace(-0.7 * span, 0.7 * span, 281):
-        inside = (t + shift >= t[0]) & (t + shift <= t[-1])
-        if abs(shift) > _CLOCK_S or inside.sum() < LEAST:
-            continue
-        at = np.stack([np.interp(t[inside] + shift, t, track[:, k]) for k in range(3)], axis=1)
-        left = float(np.median(np.linalg.norm(own[inside] - at, axis=1)))
-        if left < best[1]:
-            best = float(shift), left
-    return best
 
 
 def points_lie(placed: ImageBlock, control: ControlPoints) -> str:

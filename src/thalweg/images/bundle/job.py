@@ -1,6 +1,5 @@
 """The adjustment of a campaign's images: from its files to an oriented block."""
 
-import math
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -491,46 +490,25 @@ def image_table(adjusted: AdjustedBlock, images: Sequence[str], reasons: Mapping
     image, or of a rig the images of all its lenses.
     """
     layout, n = adjusted.layout, len(adjusted.layout.exposures)
-    at = {name: k for k, name in enumerate(layout.exposures)}
     mark, lost = layout.exposure[adjusted.problem.block.mark_image], adjusted.lost_images[layout.image]
     sigma = np.sqrt(np.diag(pose_covariance(adjusted))).reshape(-1, 6)
-    tie = np.bincount(mark[adjusted.used], minlength=n)
-    dropped = np.bincount(mark[~adjusted.used], minlength=n)
-    control = np.bincount(layout.exposure[adjusted.problem.marks.image[adjusted.control_used]], minlength=n)
-    rms = exposure_statistics(adjusted)[1]
-    rows: list[dict[str, Any]] = []
-    for name in images:
-        k = at.get(name)
-        if k is not None and lost[k]:
-            rows.append({"image": name, "oriented": False, "reason": FEW_MARKS})
-            continue
-        row: dict[str, Any] = {"image": name, "oriented": k is not None, "reason": ""}
-        if k is None:
-            row["reason"] = reasons.get(name, "not in the block")
-        else:
-            row |= {
-                "tie_marks": int(tie[k]),
-                "dropped_marks": int(dropped[k]),
-                "control_marks": int(control[k]),
-                "rms_px": rms[k],
-            }
-            row |= {f"sigma_{a}_mm": 1e3 * sigma[k, i] for i, a in enumerate(_AXES)}
-            row |= {
-                f"sigma_rotation_{a}_mdeg": 1e3 * math.degrees(sigma[k, 3 + i]) for i, a in enumerate(_AXES)
-            }
-        rows.append(row)
-    columns = [
-        "image",
-        "oriented",
-        "reason",
-        "tie_marks",
-        "dropped_marks",
-        "control_marks",
-        "rms_px",
-        *(f"sigma_{a}_mm" for a in _AXES),
-        *(f"sigma_rotation_{a}_mdeg" for a in _AXES),
-    ]
-    return pd.DataFrame(rows, columns=columns)
+    columns: dict[str, Any] = {
+        "tie_marks": np.bincount(mark[adjusted.used], minlength=n),
+        "dropped_marks": np.bincount(mark[~adjusted.used], minlength=n),
+        "control_marks": np.bincount(
+            layout.exposure[adjusted.problem.marks.image[adjusted.control_used]], minlength=n
+        ),
+        "rms_px": exposure_statistics(adjusted)[1],
+        **{f"sigma_{a}_mm": 1e3 * sigma[:, i] for i, a in enumerate(_AXES)},
+        **{f"sigma_rotation_{a}_mdeg": 1e3 * np.degrees(sigma[:, 3 + i]) for i, a in enumerate(_AXES)},
+    }
+    table = pd.DataFrame(columns, index=list(layout.exposures))[~lost]
+    why = {**reasons, **dict.fromkeys(layout.exposures, FEW_MARKS), **dict.fromkeys(table.index, "")}
+    oriented = [name in table.index for name in images]
+    table = table.reindex(list(images))
+    table.insert(0, "oriented", oriented)
+    table.insert(1, "reason", [why.get(name, "not in the block") for name in images])
+    return table.rename_axis("image").reset_index()
 
 
 def control_table(

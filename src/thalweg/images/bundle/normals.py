@@ -149,6 +149,16 @@ class Tracks:
     view: ArrayF
     along: ArrayF
 
+    def chosen(self, marks: ArrayB) -> "Tracks":
+        """Some of the marks (m,), of points that keep at least two of them."""
+        point = np.repeat(np.arange(len(self.point)), np.diff(self.first))
+        count = np.bincount(point[marks], minlength=len(self.point))
+        rows = np.flatnonzero(marks & (count[point] >= 2))
+        kept, first = np.unique(point[rows], return_index=True)
+        names = ("mark", "image", "xy_px", "sigma_px", "view", "along")
+        own = {name: getattr(self, name)[rows] for name in names}
+        return Tracks(point=self.point[kept], first=np.append(first, len(rows)).astype(np.int64), **own)
+
     def chunks(self) -> Iterator[tuple[slice, slice]]:
         """Slices of tracks and of their marks, of limited size."""
         begin = 0
@@ -167,11 +177,10 @@ def tracks_of(
     ``along`` (m, 2) is the parallax of all marks; None: along the rows.
     """
     block = problem.block
-    count = np.bincount(block.mark_point[used], minlength=len(block.points_block_m))
-    rows = np.flatnonzero(used & (count[block.mark_point] >= 2))
+    rows = np.flatnonzero(used)
     rows = rows[np.lexsort((rows, block.mark_image[rows], block.mark_point[rows]))]
     point, first = np.unique(block.mark_point[rows], return_index=True)
-    return Tracks(
+    every = Tracks(
         point=point.astype(np.int64),
         first=np.append(first, len(rows)).astype(np.int64),
         mark=rows,
@@ -181,6 +190,7 @@ def tracks_of(
         view=view[rows],
         along=np.tile([1.0, 0.0], (len(rows), 1)) if along is None else along[rows],
     )
+    return every.chosen(np.ones(len(rows), np.bool_))
 
 
 @dataclass(slots=True)

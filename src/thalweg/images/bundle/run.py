@@ -22,7 +22,6 @@ from thalweg.images.bundle.checks import (
     fitted_in_time,
     interior_notes,
     interior_of,
-    other_reading,
 )
 from thalweg.images.bundle.normals import (
     Correlation,
@@ -318,25 +317,12 @@ def world_block(
         try:
             start = start_from_control(block, control, marks)
         except GeometryError as error:
-            other = other_reading(block, control, marks, expected)
-            if other is not None:
-                raise GeometryError(
-                    f"{error.found}; {other[0]} would fit", expected=error.expected, cure=other[1]
-                ) from error
             # a line, or three points that may have the shape by chance only: the trajectory begins
             if n < LEAST or (several > LEAST and error.cure != CURE_LINE):
                 raise
     if start is not None:
-        start.notes.extend(check_start(block, start, expected, control, marks))
-        try:
-            return _checked(block, start, expected), start, "control points"
-        except GeometryError as error:
-            other = other_reading(block, control, marks, expected)
-            if other is None:
-                raise
-            raise GeometryError(
-                f"{error.found}; {other[0]} would fit", expected=error.expected, cure=other[1]
-            ) from error
+        start.notes.extend(check_start(block, start, expected))
+        return _checked(block, start, expected), start, "control points"
     if n < LEAST and antenna is not None and len(antenna.image) >= LEAST:
         start = start_from_positions(block, antenna.image, antenna.position_wcs_m)
         return _checked(block, start, expected), start, "camera positions"
@@ -444,7 +430,7 @@ def orient_block(
             problem, block=replace(moved, cameras=cameras), free=free, weighted=weighted, control=control
         )
         check_free(problem, estimated, settings, result, len(demoted))
-    check_control(moved, control, marks, result, demoted, predictions)
+    check_control(control, result, demoted)
     notes += interior_notes(adjusted, known)
     notes += clock_notes(antenna, float(adjusted.x.extras[-1]) if len(adjusted.x.extras) else 0.0)
     notes += [*adjusted.notes, *result.notes, *doubts(problem.control, result, antenna)]

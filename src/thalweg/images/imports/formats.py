@@ -14,7 +14,6 @@ from xml.etree import ElementTree
 
 import numpy as np
 from pyproj import CRS
-from scipy.optimize import least_squares
 
 from thalweg.core import (
     PARAMETERS,
@@ -35,9 +34,7 @@ from thalweg.images.imports.source import (
     Place,
     angle_covariance,
     ccs_rotations,
-    changes,
     check_datum,
-    conventions,
     image_rotations,
     orthogonal,
     place_of,
@@ -80,7 +77,6 @@ _TYPES: Final[dict[str, Model]] = {
     "equidistant_fisheye": "fisheye",
 }
 _TERMS: Final = ("f", "cx", "cy", "b1", "b2", "k1", "k2", "k3", "k4", "p1", "p2", "p3", "p4")
-_GRID: Final = 25
 _MOST_PX: Final = 1.0
 
 
@@ -176,36 +172,23 @@ def _angle_unit(table: Table) -> str | None:
 
 
 def _check_matrix(angles: Angles, given: ArrayF, names: tuple[str, ...], path: Path) -> None:
-    """Compare the angles with the matrix that stands beside them.
+    """Compare the angles with the matrix that stands beside them, as it is or transposed.
 
     Raises
     ------
-    InputError : they differ; it names the reading of the angles that agrees.
+    InputError : they differ.
     """
-
-    def off(reading: Angles) -> ArrayF:
-        """Largest difference (n,) of the rotations of a reading from the given ones."""
-        R = image_rotations(reading)
-        sides = [np.abs(M - given).max(axis=(1, 2)) for M in (R, np.swapaxes(R, 1, 2))]
-        return np.asarray(min(sides, key=lambda s: float(np.median(s))))
-
-    own = off(angles)
-    if (own <= _AGREE).all():
-        return
-    words, cure = "", "Check the settings of the export and images.finished"
-    for other in conventions(angles):
-        if other.axes == angles.axes and (off(other) <= _AGREE).all():
-            changed = changes(angles, other)
-            words = f"; with {' and '.join(changed)} they agree"
-            cure = f"Set {', '.join(f'images.finished.{c}' for c in changed)}"
-            break
-    worst = int(np.argmax(own))
-    raise InputError(
-        f"angles and rotation matrix of {names[worst]} differ by {own[worst]:.3f}{words}",
-        expected=f"less than {_AGREE:g}",
-        where=path,
-        cure=cure,
-    )
+    R = image_rotations(angles)
+    sides = [np.abs(M - given).max(axis=(1, 2)) for M in (R, np.swapaxes(R, 1, 2))]
+    off = min(sides, key=lambda s: float(np.median(s)))
+    worst = int(np.argmax(off))
+    if off[worst] > _AGREE:
+        raise InputError(
+            f"angles and rotation matrix of {names[worst]} differ by {off[worst]:.3f}",
+            expected=f"less than {_AGREE:g}",
+            where=path,
+            cure="Check the settings of the export, and images.finished.angle_unit, rotation and direction",
+        )
 
 
 # ---------------------------------------------------------------- cameras XML of Metashape (File, Export,
@@ -382,8 +365,8 @@ def _covariance_of(element: ElementTree.Element, tag: str, path: Path) -> ArrayF
 #     u = w/2 + cx + x' f + x' b1 + y' b2,      v = h/2 + cy + y' f
 #
 # Pixels count from the upper left corner, as ours. ``p1`` and ``p2`` are OpenCV's ``p2`` and ``p1``. A skew
-# ``b2``, the ``k4`` of a perspective lens and tangential parts of a fisheye have no place in our models: the
-# distortion is fitted over the picture, and the largest difference is told.
+# ``b2``, the ``k4`` of a perspective lens and tangential parts of a fisheye have no place in our models: they
+# are left out where they move no pixel by more than one, and what they move is told.
 
 
 def sensor_camera(sensor: ElementTree.Element, where: str, notes: list[str]) -> Camera | None:
@@ -417,13 +400,11 @@ def sensor_camera(sensor: ElementTree.Element, where: str, notes: list[str]) -> 
         camera = Camera(model=model, size_px=size_px, parameters=values, name=label[8:-1])
     except (ValueError, GeometryError) as error:
         raise InputError(f"{label}: {error}", expected="an interior orientation", where=where) from error
-    if p["b2"] or (p["k4"] if model == "perspective" else p["p1"] or p["p2"]):
-        camera, off_px = _fitted(camera, p)
-        notes.append(f"{label} as our {model} model: up to {off_px:.3f} px different in the picture")
+    if (off_px := _left_px(p, model, size_px)) > 0:
+        notes.append(f"{label} as our {model} model: up to {off_px:.2f} px different in the picture")
         if off_px > _MOST_PX:
             notes.append(f"{label}: too much, no interior orientation taken over")
             return None
-        return camera
     stated = (sensor.findtext("covariance/params") or "").split()
     if sensor.find("covariance") is None:
         return camera
@@ -441,37 +422,9 @@ def sensor_camera(sensor: ElementTree.Element, where: str, notes: list[str]) -> 
     return camera.with_parameters(camera.parameters, (cov + cov.T) / 2)
 
 
-def project_metashape(p: dict[str, float], model: Model, size_px: tuple[int, int], rays: ArrayF) -> ArrayF:
-    """Pixels (n, 2) of rays (n, 3) by Metashape's own equations."""
-    x, y = rays[:, 0] / rays[:, 2], rays[:, 1] / rays[:, 2]
-    if model == "fisheye":
-        r = np.hypot(x, y)
-        factor = np.where(r > 1e-12, np.arctan(r) / np.maximum(r, 1e-300), 1.0)
-        x, y = x * factor, y * factor
-    q = x * x + y * y
-    radial = 1 + q * (p["k1"] + q * (p["k2"] + q * (p["k3"] + q * p["k4"])))
-    u = x * radial + p["p1"] * (q + 2 * x * x) + 2 * p["p2"] * x * y
-    v = y * radial + p["p2"] * (q + 2 * y * y) + 2 * p["p1"] * x * y
-    return np.stack(
-        [
-            size_px[0] / 2 + p["cx"] + u * (p["f"] + p["b1"]) + v * p["b2"],
-            size_px[1] / 2 + p["cy"] + v * p["f"],
-        ],
-        axis=1,
-    )
-
-
-def _fitted(camera: Camera, p: dict[str, float]) -> tuple[Camera, float]:
-    """Our parameters whose pixels are closest to Metashape's over the picture, and the largest difference."""
-    x, y = np.meshgrid(np.linspace(0, camera.size_px[0], _GRID), np.linspace(0, camera.size_px[1], _GRID))
-    rays = camera.rays(np.column_stack([x.ravel(), y.ravel()]))
-    rays = rays[np.isfinite(rays).all(axis=1) & (rays[:, 2] > 1e-3)]
-    target = project_metashape(p, camera.model, camera.size_px, rays)
-
-    def off(parameters: ArrayF) -> ArrayF:
-        """Differences (2 n,) of the pixels."""
-        return np.nan_to_num(camera.with_parameters(parameters).project(rays) - target).ravel()
-
-    best = least_squares(off, camera.parameters, x_scale="jac", xtol=1e-14)
-    off_px = np.linalg.norm(best.fun.reshape(-1, 2), axis=1)
-    return camera.with_parameters(best.x), float(off_px.max())
+def _left_px(p: Mapping[str, float], model: Model, size_px: tuple[int, int]) -> float:
+    """At most so many pixels at a corner of the picture by the terms that our models do not have."""
+    half = np.hypot(*size_px) / 2 / p["f"]
+    if model == "perspective":
+        return float(abs(p["b2"]) * half + p["f"] * abs(p["k4"]) * half**9)
+    return float(abs(p["b2"]) * half + 3 * p["f"] * np.hypot(p["p1"], p["p2"]) * half**2)

@@ -31,18 +31,9 @@ from thalweg.core import (
     ThalwegError,
     robust_sigma,
 )
-from thalweg.core.values import FAR_M, FORMS, Reading, readings, world_of
+from thalweg.core.values import FAR_M
 from thalweg.images.imports.formats import read_angles_table, read_metashape
-from thalweg.images.imports.source import (
-    Finished,
-    Place,
-    ccs_rotations,
-    changes,
-    conventions,
-    place_of,
-    to_world,
-    world_axes,
-)
+from thalweg.images.imports.source import Finished, Place, place_of, to_world
 from thalweg.images.model import (
     LEAST_IMAGES,
     ImagePoses,
@@ -83,20 +74,13 @@ Lens = tuple[int, str, tuple[int, int], Sequence[float]]
 """Number, model, size in pixels, parameters."""
 
 _SIGMAS: Final = 4.0
-_BETTER: Final = 0.25
-"""A reading of the angles that leaves less than this share of the angle is the right one."""
-_SUSPECT_RAD: Final = np.deg2rad(3.0)
-"""Median angle below which no other reading is looked for."""
 _GEOID_M: Final = (15.0, 110.0)
 """Heights of geoids above the ellipsoid are within +-107 m; below 15 m other causes are likelier."""
 _LEVEL_M: Final = 3.0
-_NORTH: Final = ("grid", "true")
-_CURES: Final = {
-    "coordinates of the world frame": "Set images.finished.crs: world",
-    "longitude and latitude": "Set images.finished.crs: EPSG:4326",
-    "latitude and longitude": "Swap these columns, and set images.finished.crs: EPSG:4326",
-}
-"""Cures of readings that a user states in the settings rather than by names of columns."""
+_CHECK_PLACE: Final = (
+    "Check images.finished.crs (`world` for the world frame, EPSG:4326 for degrees), order and unit of the "
+    "columns, that they are projection centres, and that the file belongs to this survey"
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -265,19 +249,21 @@ def _add(
                 chosen, predictions.frame, north=settings["north"], height_offset_m=offset_m
             )
         except GeometryError as error:
-            other = _other_place(chosen if compared is None else compared, predicted)
-            raise _misplaced(source, error, other) from error
+            raise InputError(
+                error.found, expected=error.expected, where=source.where, cure=_CHECK_PLACE
+            ) from error
         notes = [UNCHECKED]
         if compared is not None:
             notes, more = check_poses(compared, centre[known], R[known], predicted)
             facts |= more
-        elif (
-            chosen.place.kind != "world"  # nothing says where a system of its own begins
-            and np.median(np.linalg.norm(centre, axis=1)) > FAR_M
-            and (other := _other_place(chosen, predicted))
-        ):
-            away = GeometryError(f"positions a median of {_distance(centre)} away from campaign.origin")
-            raise _misplaced(source, away, other)
+        elif chosen.place.kind != "world" and np.median(np.linalg.norm(centre, axis=1)) > FAR_M:
+            # of coordinates in the world frame nothing says where it begins
+            raise InputError(
+                f"positions a median of {_distance(centre)} away from campaign.origin",
+                expected=f"coordinates in {chosen.place.text} within {FAR_M / 1000:g} km",
+                where=source.where,
+                cure=_CHECK_PLACE,
+            )
     out.notes += [f"{Path(source.where).name}: {note}" for note in (*source.notes, *notes)]
     for k, camera in zip(at.tolist(), chosen.cameras, strict=True):
         if out.source[k]:
@@ -642,12 +628,9 @@ def _is_points(words: list[str]) -> bool:
     return len(words) % 3 == 0 and all(_NUMBER.fullmatch(word) for word in words[:12])
 
 
-# ---------------------------------------------------------------- can the poses be those of the campaign, and
-# what would make them so?
+# ---------------------------------------------------------------- can the poses be those of the campaign?
 #
-# Poses are compared with those that clock, INS and mount predict. Where they are far away, the usual mistakes
-# are tried one after the other on the numbers of the file: another CRS, columns in another order, heights
-# above the geoid, another order of angles, another unit, other axes. The one that fits is named.
+# Poses are compared with those that clock, INS and mount predict.
 
 
 def check_poses(
@@ -657,12 +640,12 @@ def check_poses(
 
     Parameters
     ----------
-    source : the same poses as the file has them, for other readings of its numbers.
+    source : the same poses as the file has them.
     centre, R : (n, 3), (n, 3, 3) in wcs.
 
     Raises
     ------
-    InputError : positions or attitudes are not those of the campaign; it says what would fit.
+    InputError : positions or attitudes are not those of the campaign.
     """
     if len(centre) < LEAST_IMAGES:
         return [f"{len(centre)} images with a prediction: the poses could not be checked against it"], {}
@@ -676,15 +659,22 @@ def check_poses(
     }
     notes = check_heights(source, off, predicted)
     if np.median(away) > predicted.limit_m:
-        far = GeometryError(
+        raise InputError(
             f"positions a median of {_distance(off)} away from the predicted ones",
-            expected=f"at most {predicted.limit_m:.0f} m",
-            cure="Check images.finished.crs, that the file belongs to this survey, and the camera's clock, "
-            "by which the prediction goes; images.finished.most_position_m is the limit",
+            expected=f"coordinates in {source.place.text}, at most {predicted.limit_m:.0f} m away",
+            where=source.where,
+            cure=f"{_CHECK_PLACE}, and the camera's clock, by which the prediction goes; "
+            "images.finished.most_position_m is the limit",
         )
-        raise _misplaced(source, far, _other_place(source, predicted))
-    _check_attitudes(source, R, turn, predicted)
-    notes += _north_note(source, R, turn, predicted)
+    if np.median(turn) > predicted.limit_rad:
+        raise InputError(
+            f"attitudes a median of {np.rad2deg(np.median(turn)):.1f} degrees away from the predicted ones",
+            expected=f"at most {np.rad2deg(predicted.limit_rad):.0f} degrees",
+            where=source.where,
+            cure="Check what the rotations of the file mean (images.finished.angle_unit, rotation, "
+            "direction, axes, north), the mount of the camera and its clock, by which the prediction "
+            "goes; images.finished.most_angle_deg is the limit",
+        )
     for what, values, limit, unit in (
         ("m", away, predicted.limit_m, 1.0),
         ("degrees", turn, predicted.limit_rad, np.rad2deg(1.0)),
@@ -729,104 +719,6 @@ def check_heights(source: Finished, off: ArrayF, predicted: Predicted) -> list[s
             f"the geoid there, about {-height:.0f} m, from the geoid model of the land survey",
         )
     return [words + ": check whether they are above the ellipsoid"]
-
-
-def _misplaced(source: Finished, error: GeometryError, other: Reading | None) -> InputError:
-    """What to raise of coordinates that are not meant so, with the reading that would fit."""
-    if other is None:
-        return InputError(error.found, expected=error.expected, where=source.where, cure=error.cure)
-    return InputError(
-        f"{error.found}; {other.words} would fit",
-        expected=f"coordinates in {source.place.text}",
-        where=source.where,
-        cure=_CURES.get(other.words, other.cure),
-    )
-
-
-def _other_place(source: Finished, predicted: Predicted) -> Reading | None:
-    """The usual mistake that would explain the coordinates of a file; without prediction, near the origin."""
-    x, place, frame = source.coordinates, source.place, predicted.frame
-    form = FORMS[0] if place.kind == "world" else FORMS[2]
-    inside = -np.einsum("nij,nj->ni", source.R_place_ccs, x)
-    centres = Reading(
-        "the translations of world-to-camera transforms", "Export projection centres", inside, form, place.crs
-    )
-    near, limit_m = predicted.centre_wcs_m, predicted.limit_m
-    if not len(near):
-        near, limit_m = np.zeros(3), FAR_M
-    for other in (*readings(x, form, place.crs, frame, "Set images.finished.crs:"), centres):
-        try:
-            off = world_of(other.values, other.form, other.crs, frame) - near
-        except GeometryError:
-            continue
-        # heights above the geoid are a mistake of their own
-        if np.median(np.linalg.norm(off[:, :2], axis=1)) <= limit_m:
-            return other
-    return None
-
-
-def _check_attitudes(source: Finished, R: ArrayF, turn: ArrayF, predicted: Predicted) -> None:
-    """Refuse attitudes far from the predicted ones, or much farther than another reading of the angles."""
-    median = float(np.median(turn))
-    far = median > predicted.limit_rad
-    if not far and median <= max(_SUSPECT_RAD, _SIGMAS * predicted.sigma_rad):
-        return
-    found = f"attitudes a median of {np.rad2deg(median):.1f} degrees away from the predicted ones"
-    limit = f"at most {np.rad2deg(predicted.limit_rad):.0f} degrees"
-    expected = limit if far else "no other reading of the angles that fits much better"
-    other = _other_angles(source, predicted)
-    if other is not None and other[1] < _BETTER * median and other[1] <= predicted.limit_rad:
-        raise InputError(
-            f"{found}; with {' and '.join(other[0])} they would fit to {np.rad2deg(other[1]):.1f}",
-            expected=expected,
-            where=source.where,
-            cure=f"Set {', '.join(f'images.finished.{change}' for change in other[0])}",
-        )
-    if not far:
-        return
-    raise InputError(
-        found,
-        expected=expected,
-        where=source.where,
-        cure="Check what the rotations of the file mean, the mount of the camera and the camera's clock, by "
-        "which the prediction goes; images.finished.most_angle_deg is the limit",
-    )
-
-
-def _north_note(source: Finished, R: ArrayF, turn: ArrayF, predicted: Predicted) -> list[str]:
-    """Whether angles in a map grid fit much better with the other north."""
-    if source.angles is None or source.place.kind != "map":
-        return []
-    frame, median = predicted.frame, float(np.median(turn))
-    readings = {
-        n: world_axes(source.coordinates, source.place, frame, n) @ source.R_place_ccs for n in _NORTH
-    }
-    other = max(_NORTH, key=lambda n: float(np.median(angles_between(readings[n], R))))
-    left = float(np.median(angles_between(readings[other], predicted.R_wcs_ccs)))
-    convergence = float(np.median(angles_between(readings["grid"], readings["true"])))
-    if left > 0.5 * median or convergence < _SIGMAS * predicted.sigma_rad:
-        return []
-    return [
-        f"attitudes fit to {np.rad2deg(median):.2f} degrees, and to {np.rad2deg(left):.2f} if they refer to "
-        f"{other} north (convergence {np.rad2deg(convergence):.2f}): images.finished.north"
-    ]
-
-
-def _other_angles(source: Finished, predicted: Predicted) -> tuple[Sequence[str], float] | None:
-    """The best other reading of a table's angles, and the median angle (rad) that it leaves."""
-    if source.angles is None:
-        return None
-    axes = world_axes(source.coordinates, source.place, predicted.frame)
-    best: tuple[Sequence[str], float] | None = None
-    for other in conventions(source.angles):
-        changed = changes(source.angles, other)
-        if not changed:
-            continue
-        left = float(np.median(angles_between(axes @ ccs_rotations(other), predicted.R_wcs_ccs)))
-        # of readings that fit alike the one that changes least, which comes first
-        if best is None or left < best[1] - 1e-6:
-            best = changed, left
-    return best
 
 
 def _distance(off: ArrayF) -> str:

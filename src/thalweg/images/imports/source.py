@@ -7,9 +7,8 @@ geographic coordinates those of the place itself.
 
 import math
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import product
 from pathlib import Path
 from typing import Final, Literal
 
@@ -352,19 +351,3 @@ def angle_covariance(angles: Angles, sigma: ArrayF) -> ArrayF:
         axes = -image_rotations(angles) @ axes
     J = axes * (sigma * UNITS[angles.unit])[:, None, :]
     return np.asarray(J @ np.swapaxes(J, 1, 2))
-
-
-def conventions(angles: Angles) -> Iterator[Angles]:
-    """All usual readings of the same numbers, those first that differ least from the one at hand."""
-    found = [Angles(angles.values, *how) for how in product(UNITS, ORDERS, DIRECTIONS, AXES)]
-    yield from sorted(found, key=lambda other: len(changes(angles, other)))
-
-
-def changes(one: Angles, other: Angles) -> list[str]:
-    """Settings by which two readings differ, as they stand in the campaign file."""
-    names = {"unit": "angle_unit", "rotation": "rotation", "direction": "direction", "axes": "axes"}
-    return [
-        f"{setting}: {getattr(other, name)}"
-        for name, setting in names.items()
-        if getattr(one, name) != getattr(other, name)
-    ]

@@ -22,7 +22,15 @@ import numpy as np
 
 from thalweg.core import AnyArray, ArrayB, ArrayF, ArrayI, ArrayU8, gps_from_unix
 from thalweg.ingest import possible_unix
-from thalweg.ingest.framing import CHUNK_BYTES, PacketBlock, StreamTally, find_anpp, find_in, read_packets
+from thalweg.ingest.framing import (
+    CHUNK_BYTES,
+    LogRecords,
+    PacketBlock,
+    StreamTally,
+    find_anpp,
+    find_in,
+    read_packets,
+)
 
 
 def _layout(fields: str) -> np.dtype[Any]:
@@ -190,37 +198,19 @@ def find_packets(buf: ArrayU8, tally: StreamTally | None = None) -> PacketBlock:
 CURE = "Give files as the device or its Manager program logs them (.anpp), not exported text"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Records:
-    """Packets of one id: fields as a structured array, and (n,) number of the packet and byte in the log."""
-
-    fields: AnyArray
-    packet: ArrayI
-    position: ArrayI
-
-    def take(self, keep: ArrayB) -> "Records":
-        """Some of the packets."""
-        return Records(fields=self.fields[keep], packet=self.packet[keep], position=self.position[keep])
-
-
 @dataclass(slots=True, kw_only=True)
-class AnppRecords:
+class AnppRecords(LogRecords):
     """All decoded packets of a log."""
 
-    tally: StreamTally = field(default_factory=StreamTally)
-    by_id: dict[int, Records] = field(default_factory=dict)
-    counts: dict[int, int] = field(default_factory=dict)
-    wrong_size: dict[int, int] = field(default_factory=dict)
+    layouts: Mapping[int, np.dtype[Any]] = field(default_factory=lambda: LAYOUTS)
+    tails: Mapping[int, int] = field(default_factory=lambda: {GNSS_RECEIVER: 1})
     satellites_31: list[int] = field(default_factory=list)
     """Satellites listed in each packet 31."""
 
-    def of(self, packet_id: int) -> Records:
-        """Packets of an id, maybe none."""
-        return self.by_id.get(packet_id) or Records(
-            fields=np.empty(0, dtype=LAYOUTS[packet_id]),
-            packet=np.empty(0, dtype=np.int64),
-            position=np.empty(0, dtype=np.int64),
-        )
+    @property
+    def by_id(self) -> dict[int, int]:
+        """Packets by id, of any id."""
+        return {kind: n for (kind, _), n in sorted(self.counts.items())}
 
 
 def collect(files: Sequence[Path], chunk_bytes: int = CHUNK_BYTES) -> AnppRecords:
@@ -231,45 +221,12 @@ def collect(files: Sequence[Path], chunk_bytes: int = CHUNK_BYTES) -> AnppRecord
     InputError : no files, a file that cannot be read, is no ANPP log, or all files are empty.
     """
     out = AnppRecords()
-    parts: dict[int, list[Records]] = {}
     for block in read_packets(
         files, find_anpp, out.tally, what="ANPP packet", cure=CURE, chunk_bytes=chunk_bytes
     ):
-        counts = np.bincount(block.kind, minlength=256)
-        for packet_id in np.flatnonzero(counts):
-            key = int(packet_id)
-            out.counts[key] = out.counts.get(key, 0) + int(counts[key])
-            _decode(block, key, out, parts)
-    for key, pieces in parts.items():
-        out.by_id[key] = Records(
-            fields=np.concatenate([p.fields for p in pieces]),
-            packet=np.concatenate([p.packet for p in pieces]),
-            position=np.concatenate([p.position for p in pieces]),
-        )
-    out.counts = dict(sorted(out.counts.items()))
+        out.feed(block)
+        out.satellites_31 += (block.length[block.kind == 31] // 7).tolist()
     return out
-
-
-def _decode(block: PacketBlock, key: int, out: AnppRecords, parts: dict[int, list[Records]]) -> None:
-    rows = np.flatnonzero(block.kind == key)
-    if key == 31:
-        out.satellites_31 += (block.length[rows] // 7).tolist()
-    layout = LAYOUTS.get(key)
-    if layout is None:
-        return
-    size = layout.itemsize
-    good = block.length[rows] >= size if key == GNSS_RECEIVER else block.length[rows] == size
-    if not good.all():
-        out.wrong_size[key] = out.wrong_size.get(key, 0) + int((~good).sum())
-        rows = rows[good]
-    if rows.size:
-        parts.setdefault(key, []).append(
-            Records(
-                fields=block.payloads(rows, size).view(layout)[:, 0],
-                packet=block.first + rows,
-                position=block.position[rows],
-            )
-        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -311,9 +268,7 @@ class Clock:
 
 def gps_time(unix_s: AnyArray, us: AnyArray, valid: ArrayB) -> ArrayF:
     """Adjusted GPS time of UTC stamps, NaN where not valid."""
-    out = np.full(unix_s.size, np.nan)
-    out[valid] = gps_from_unix(unix_s[valid].astype(np.float64), us[valid])
-    return out
+    return gps_from_unix(np.where(valid, unix_s, np.nan), us)
 
 
 def possible_utc(unix_s: AnyArray, us: AnyArray) -> ArrayB:
@@ -326,12 +281,12 @@ def build_clock(records: AnppRecords) -> Clock:
     state, unix = records.of(STATE), records.of(UNIX_TIME)
     formatted, status = records.of(FORMATTED_TIME), records.of(STATUS)
     calendar_s, calendar_ok = _calendar(formatted.fields)
-    packet = np.concatenate([state.packet, unix.packet, formatted.packet])
+    packet = np.concatenate([state.number, unix.number, formatted.number])
     unix_s = np.concatenate([state.fields["unix_s"], unix.fields["unix_s"], calendar_s]).astype(np.float64)
     us = np.concatenate([state.fields["us"], unix.fields["us"], formatted.fields["us"]]).astype(np.float64)
-    readable = np.concatenate([np.ones(state.packet.size + unix.packet.size, dtype=np.bool_), calendar_ok])
+    readable = np.concatenate([np.ones(state.number.size + unix.number.size, dtype=np.bool_), calendar_ok])
     readable &= us < 1_000_000
-    utc_packet = np.concatenate([state.packet, status.packet])
+    utc_packet = np.concatenate([state.number, status.number])
     utc_bit = np.concatenate([state.fields["filter"], status.fields["filter"]]) & FILTER_UTC != 0
     order = np.argsort(utc_packet, kind="stable")
     utc_packet, utc_bit = utc_packet[order], utc_bit[order]

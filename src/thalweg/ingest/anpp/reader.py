@@ -6,7 +6,6 @@ before them. States refer to the configured reference point, raw GNSS positions 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -14,18 +13,10 @@ import numpy as np
 import pandas as pd
 
 from thalweg.core import AnyArray, ArrayB, ArrayI, frame_of
-from thalweg.ingest import DEPTH, GNSS_POSITION, INS_STATE, IntegrityReport
+from thalweg.ingest import DEPTH, GNSS_POSITION, INS_STATE, IntegrityReport, PoseLog
 from thalweg.ingest.anpp import packets as ap
-from thalweg.ingest.anpp.packets import (
-    AnppRecords,
-    Clock,
-    Records,
-    build_clock,
-    collect,
-    gps_time,
-    possible_utc,
-)
-from thalweg.ingest.framing import CHUNK_BYTES
+from thalweg.ingest.anpp.packets import AnppRecords, Clock, build_clock, collect, gps_time, possible_utc
+from thalweg.ingest.framing import CHUNK_BYTES, Records
 
 # ---------------------------------------------------------------- tables out of decoded ANPP packets
 
@@ -72,7 +63,7 @@ def add_orientation_sigmas(states: pd.DataFrame, records: AnppRecords, clock: Cl
     """Give each state the sigmas of the nearest packet 26 in time; returns how many states got them."""
     euler = records.of(ap.EULER_SIGMA)
     of_packet = pd.DataFrame(euler.fields["sigma"].astype(np.float64))
-    of_packet["t_device_s"] = clock.at(euler.packet)[1]
+    of_packet["t_device_s"] = clock.at(euler.number)[1]
     of_packet = of_packet.dropna(subset="t_device_s").sort_values("t_device_s", kind="stable")
     if of_packet.empty or states.empty:
         return 0
@@ -98,7 +89,7 @@ def gnss_table(records: AnppRecords, clock: Clock) -> tuple[pd.DataFrame, int, i
     Positions without fix are left out. Packets 29 win if both are logged.
     Satellites are those of the packet 30 of the same moment, else -1.
     """
-    source = ap.RAW_GNSS if records.of(ap.RAW_GNSS).packet.size else ap.GNSS_PVT
+    source = ap.RAW_GNSS if records.of(ap.RAW_GNSS).number.size else ap.GNSS_PVT
     time_bit = 1 << 4 if source == ap.RAW_GNSS else 1 << 10
     r = records.of(source)
     has_fix = r.fields["flags"] & 7 != 0
@@ -115,7 +106,7 @@ def gnss_table(records: AnppRecords, clock: Clock) -> tuple[pd.DataFrame, int, i
             "lon_deg": np.rad2deg(f["lon"]),
             "h_ell_m": f["height"],
             "fix": ap.fix_of(f["flags"], 0, ap.GNSS_FIX),
-            "n_sats": _satellites(records, clock, kept.packet),
+            "n_sats": _satellites(records, clock, kept.number),
             "sigma_east_m": sigma[:, 1],
             "sigma_north_m": sigma[:, 0],
             "sigma_up_m": sigma[:, 2],
@@ -143,7 +134,7 @@ def _satellites(records: AnppRecords, clock: Clock, packet: ArrayI) -> ArrayI:
     """Satellites in use by the packet 30 of the same moment as each packet, -1 where there is none."""
     satellites = records.of(ap.SATELLITES)
     used = satellites.fields["used"].astype(np.int64).sum(axis=1)
-    of_moment = pd.Series(used, index=clock.before(satellites.packet))
+    of_moment = pd.Series(used, index=clock.before(satellites.number))
     of_moment = of_moment[~of_moment.index.duplicated()]
     return of_moment.reindex(clock.before(packet), fill_value=-1).to_numpy(np.int64)
 
@@ -153,12 +144,12 @@ def depth_table(records: AnppRecords, clock: Clock) -> tuple[pd.DataFrame, int]:
     r = records.of(ap.DEPTH_IN)
     kept = r.take(np.asarray(np.isfinite(r.fields["depth"])))
     values = {
-        "t_gps_s": clock.at(kept.packet)[0],
+        "t_gps_s": clock.at(kept.number)[0],
         "depth_m": kept.fields["depth"],
-        "sentence": np.full(kept.packet.size, "ANPP53", dtype=object),
-        "line": kept.packet + 1,
+        "sentence": np.full(kept.number.size, "ANPP53", dtype=object),
+        "line": kept.number + 1,
     }
-    return frame_of(DEPTH, values, unknown=np.nan), int(r.packet.size - kept.packet.size)
+    return frame_of(DEPTH, values, unknown=np.nan), int(r.number.size - kept.number.size)
 
 
 # ---------------------------------------------------------------- what the integrity report says about an
@@ -179,7 +170,7 @@ def describe_log(report: IntegrityReport, records: AnppRecords, clock: Clock, st
         report.details["satellites in use, median"] = float(np.median(used.astype(np.int64).sum(axis=1)))
     if records.satellites_31:
         report.details["satellites in view, median"] = float(np.median(records.satellites_31))
-    report.details["packets by id"] = {ap.describe(k): n for k, n in records.counts.items()}
+    report.details["packets by id"] = {ap.describe(k): n for k, n in records.by_id.items()}
 
 
 def _device(report: IntegrityReport, records: AnppRecords) -> None:
@@ -214,8 +205,8 @@ def _time(report: IntegrityReport, clock: Clock, states: pd.DataFrame) -> None:
         if n := report.losses.get(name, 0):
             report.note(f"{name.replace('_', ' ').capitalize()}: {n:,} among {t.size:,} {what}.")
     step = np.diff(t)
-    if short := int(((step > 0) & (step * report.rates_hz.get(what, 0.0) < 0.5)).sum()):
-        report.count("time_steps_shorter_than_half", short)
+    short = (step > 0) & (step * report.rates_hz.get(what, 0.0) < 0.5)
+    report.count_some("time_steps_shorter_than_half", short.sum())
     report.timing.place_unsynchronised(device, gps)
     begins = np.flatnonzero(known[1:] & ~known[:-1])
     if begins.size:
@@ -253,9 +244,7 @@ def _status(report: IntegrityReport, states: pd.DataFrame) -> None:
         if missing:
             report.note(f"The {name} was not initialised in {missing:,} of {n:,} states.")
     report.details["fixes"] = {str(k): int(v) for k, v in states["fix"].value_counts().items()}
-    events = int((flags & 0x180 != 0).sum())
-    if events:
-        report.count("states_with_event_flag", events)
+    report.count_some("states_with_event_flag", (flags & 0x180 != 0).sum())
 
 
 # ---------------------------------------------------------------- packets that occur in two files of one
@@ -274,11 +263,10 @@ def drop_repeated(records: AnppRecords) -> int:
     clock = build_clock(records)
     first_packet = np.cumsum([0, *records.tally.packets])[:-1]
     dropped = 0
-    for packet_id, found in list(records.by_id.items()):
-        if packet_id in (ap.DEVICE, ap.GNSS_RECEIVER):
-            continue
+    for packet_id in records.parts.keys() - {ap.DEVICE, ap.GNSS_RECEIVER}:
+        found = records.of(packet_id)
         again = _repeated(found, first_packet, clock)
-        records.by_id[packet_id] = found.take(~again)
+        records.parts[packet_id] = [found.take(~again)]
         dropped += int(again.sum())
     return dropped
 
@@ -286,9 +274,9 @@ def drop_repeated(records: AnppRecords) -> int:
 def _repeated(found: Records, first_packet: ArrayI, clock: Clock) -> ArrayB:
     """True where an earlier file holds the same bytes at the same time."""
     file, clock_file = (
-        np.searchsorted(first_packet, p, side="right") - 1 for p in (found.packet, clock.packet)
+        np.searchsorted(first_packet, p, side="right") - 1 for p in (found.number, clock.packet)
     )
-    index = clock.before(found.packet)
+    index = clock.before(found.number)
     timed = (index >= 0) & (np.append(clock_file, -1)[index] == file)
     t = np.append(clock.t_device_s, np.nan)[index]
     content = [row.tobytes() for row in found.fields]
@@ -309,28 +297,8 @@ def _repeated(found: Records, first_packet: ArrayI, clock: Clock) -> ArrayB:
 # ---------------------------------------------------------------- reader
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class AnppLog:
-    """What an ANPP log holds.
-
-    Attributes
-    ----------
-    states : table kind ``ins_state``, one row a system state packet (20).
-    gnss : table kind ``gnss_position`` at the antenna: packets 29 (else 92) that have a fix.
-    depth : table kind ``depth``: external depth packets (53).
-    report : integrity report, stream ``"ins"``.
-    packet_counts : packets by id, of any id.
-    """
-
-    states: pd.DataFrame
-    gnss: pd.DataFrame
-    depth: pd.DataFrame
-    report: IntegrityReport
-    packet_counts: dict[int, int]
-
-
-def read_anpp(files: Sequence[Path], *, chunk_bytes: int = CHUNK_BYTES) -> AnppLog:
-    """Read an ANPP log.
+def read_anpp(files: Sequence[Path], *, chunk_bytes: int = CHUNK_BYTES) -> PoseLog:
+    """States of the packets 20, positions of the antenna (29, else 92) with a fix, and depths (53).
 
     Parameters
     ----------
@@ -348,26 +316,25 @@ def read_anpp(files: Sequence[Path], *, chunk_bytes: int = CHUNK_BYTES) -> AnppL
         return _log_of(records)
 
 
-def _log_of(records: AnppRecords) -> AnppLog:
+def _log_of(records: AnppRecords) -> PoseLog:
     repeated = drop_repeated(records)
     clock = build_clock(records)
-    report = IntegrityReport(stream="ins", format="ANPP", files=[])
+    report = IntegrityReport.of("ins", "ANPP", ())
     states = states_table(records)
     describe_log(report, records, clock, states)
     records.tally.write(report, "packet")
     with_sigma = add_orientation_sigmas(states, records, clock)
     gnss, no_fix, impossible_gnss = gnss_table(records, clock)
     depth, no_depth = depth_table(records, clock)
+    report.count("states", len(states))
     for name, n in {
-        "states": len(states),
         "gnss_positions": len(gnss),
         "depths": len(depth),
         "gnss_positions_without_fix": no_fix,
         "states_with_orientation_sigma": with_sigma,
         "repeated_packets_dropped": repeated,
     }.items():
-        if n or name == "states":
-            report.count(name, n)
+        report.count_some(name, n)
     for name, n in {
         "depths_not_a_number": no_depth,
         "packets_of_wrong_size": sum(records.wrong_size.values()),
@@ -383,11 +350,12 @@ def _log_of(records: AnppRecords) -> AnppLog:
             f"{n:,} packets {ap.describe(packet_id)} are not of the documented size of "
             f"{ap.LAYOUTS[packet_id].itemsize} bytes and are left out (another device family?)."
         )
-    if 27 in records.counts and ap.EULER_SIGMA not in records.counts:
+    ids = records.by_id
+    if 27 in ids and ap.EULER_SIGMA not in ids:
         report.note(
             "Orientation sigmas are logged as quaternion (27) only, which is not converted: log packet 26."
         )
-    unread = [f"{ap.describe(k)} {records.counts[k]:,}" for k in ap.UNREAD if k in records.counts]
+    unread = [f"{ap.describe(k)} {ids[k]:,}" for k in ap.UNREAD if k in ids]
     if unread:
         report.note("Not read: packets " + ", ".join(unread) + ".")
-    return AnppLog(states=states, gnss=gnss, depth=depth, report=report, packet_counts=dict(records.counts))
+    return PoseLog(states=states, positions=gnss, depths=depth, report=report)

@@ -672,7 +672,7 @@ def read_cloud(path: Path) -> Cloud:
         raise UnsupportedError(
             f"begins with {head[:8].hex(' ')}", expected=_KINDS, where=path, cure="Export the cloud as LAZ"
         )
-    report = IntegrityReport(stream="cloud", format="", files=[str(path)], bytes_read=path.stat().st_size)
+    report = IntegrityReport.of("cloud", "", [path], bytes_read=path.stat().st_size)
     cloud = reader(path, report)
     good: AnyArray = np.all(np.isfinite(cloud.points), axis=1)
     report.lose("points_not_finite", np.count_nonzero(~good))

@@ -94,7 +94,7 @@ def gather_reference(files: list[Path], out: Path, frame: LocalFrame, crs: str) 
             where="logs.reference",
             cure="Name the terrestrial scans there, or do not ask for a comparison with a reference",
         )
-    total = IntegrityReport(stream="reference", format="reference clouds", files=[str(f) for f in files])
+    total = IntegrityReport.of("reference", "reference clouds", files)
     with LazWriter(out, frame) as writer:
         for number, path in enumerate(files, start=1):
             cloud = read_cloud(path)

@@ -4,15 +4,16 @@ Files are read in pieces and joined: a packet that a logger split between two fi
 memory does not grow with the log. Bytes that belong to no packet are counted and located.
 """
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, fields
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
-from thalweg.core import AnyArray, ArrayI, ArrayU8, InputError, njit
+from thalweg.core import AnyArray, ArrayB, ArrayI, ArrayU8, InputError, njit
 from thalweg.ingest import IntegrityReport
 
 # ---------------------------------------------------------------- Compiled walks over ANPP packets and SBP
@@ -249,8 +250,7 @@ class StreamTally:
             (BAD_CRC, f"{packet}s_with_wrong_checksum"),
             (CUT, f"{packet}s_cut_at_end"),
         ):
-            if self.cells[cell]:
-                report.lose(name, int(self.cells[cell]))
+            report.lose(name, self.cells[cell])
         n = int(self.cells[HOLES])
         if n:
             named = ", ".join(
@@ -264,6 +264,77 @@ class StreamTally:
             if size == 0:
                 report.lose("empty_files")
                 report.note(f"{path.name} is empty.")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Records:
+    """Decoded packets of one kind.
+
+    Attributes
+    ----------
+    fields : (n,) structured array.
+    number : (n,) number of the packet in the log, from 0.
+    sender : (n,) who sent it; 0 relays the base in SBP, and is everybody in ANPP.
+    size : (n,) bytes of the payload.
+    """
+
+    fields: AnyArray
+    number: ArrayI
+    sender: ArrayI
+    size: ArrayI
+
+    def take(self, keep: ArrayB) -> "Records":
+        """Some of the packets."""
+        return Records(**{each.name: getattr(self, each.name)[keep] for each in fields(self)})
+
+
+@dataclass(slots=True, kw_only=True)
+class LogRecords:
+    """All decoded packets of a log, and how many of which kind and sender there were.
+
+    Parameters
+    ----------
+    layouts : of the payloads that are decoded, by kind.
+    tails : kind -> bytes, of which any number of multiples may follow its layout.
+    """
+
+    layouts: Mapping[int, np.dtype[Any]]
+    tails: Mapping[int, int]
+    tally: StreamTally = field(default_factory=StreamTally)
+    counts: Counter[tuple[int, int]] = field(default_factory=Counter)
+    wrong_size: Counter[int] = field(default_factory=Counter)
+    parts: dict[int, list[Records]] = field(default_factory=dict)
+
+    def feed(self, block: PacketBlock) -> None:
+        """Take in the packets of the next piece."""
+        both = block.kind.astype(np.int64) << 16 | block.sender
+        for value, n in zip(*np.unique(both, return_counts=True), strict=True):
+            self.counts[int(value) >> 16, int(value) & 0xFFFF] += int(n)
+        for kind in np.intersect1d(block.kind, list(self.layouts)).tolist():
+            layout, rows = self.layouts[kind], np.flatnonzero(block.kind == kind)
+            beyond, step = block.length[rows] - layout.itemsize, self.tails.get(kind)
+            good = beyond == 0 if step is None else (beyond >= 0) & (beyond % step == 0)
+            if not good.all():
+                self.wrong_size[kind] += int((~good).sum())
+            rows = rows[good]
+            part = Records(
+                fields=block.payloads(rows, layout.itemsize).view(layout)[:, 0],
+                number=block.first + rows,
+                sender=block.sender[rows].astype(np.int64),
+                size=block.length[rows],
+            )
+            self.parts.setdefault(kind, []).append(part)
+
+    def of(self, kind: int, sender: int | None = None) -> Records:
+        """Packets of a kind (of one sender), maybe none."""
+        parts = self.parts.get(kind, [])
+        if len(parts) != 1:
+            none = np.empty(0, dtype=np.int64)
+            empty = Records(fields=np.empty(0, self.layouts[kind]), number=none, sender=none, size=none)
+            parts = [*parts, empty]
+            columns = {f.name: np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Records)}
+            parts = self.parts[kind] = [Records(**columns)]
+        return parts[0] if sender is None else parts[0].take(parts[0].sender == sender)
 
 
 def new_tally() -> tuple[ArrayI, ArrayI]:

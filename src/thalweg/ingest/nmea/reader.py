@@ -26,7 +26,6 @@ import re
 from array import array
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from functools import cache, reduce
 from itertools import combinations
 from operator import xor
@@ -48,7 +47,15 @@ from thalweg.core import (
     utc_text_from_unix,
 )
 from thalweg.core.values import NOTHING, unit_of_letter
-from thalweg.ingest import DEPTH, GNSS_POSITION, IntegrityReport, doubtful_date, explain_shift, possible_unix
+from thalweg.ingest import (
+    DEPTH,
+    GNSS_POSITION,
+    IntegrityReport,
+    PositionLog,
+    doubtful_date,
+    explain_shift,
+    possible_unix,
+)
 
 # ---------------------------------------------------------------- sentences out of a log's bytes: framing,
 # checksum, prefixes of loggers, TAG blocks
@@ -695,22 +702,12 @@ def _say_dates(t_gps_s: ArrayF, report: IntegrityReport) -> None:
 # ---------------------------------------------------------------- reader
 
 
-@dataclass(slots=True, kw_only=True)
-class NmeaLog:
-    """A log: positions (``gnss_position``), depths (``depth``), and the report.
+def read_nmea(files: Sequence[Path], date: dt.date | None = None) -> PositionLog:
+    """Read one or several NMEA logs.
 
     The report's details hold the medians ``water_temperature_c`` (MTW), ``pitch_deg`` and ``roll_deg`` of the
     instrument (XDR), and ``sigma_depth_time_s``, the standard deviation of times of depths that were placed
     between two time sentences.
-    """
-
-    positions: pd.DataFrame
-    depths: pd.DataFrame
-    report: IntegrityReport
-
-
-def read_nmea(files: Sequence[Path], date: dt.date | None = None) -> NmeaLog:
-    """Read one or several NMEA logs.
 
     Parameters
     ----------
@@ -729,7 +726,7 @@ def read_nmea(files: Sequence[Path], date: dt.date | None = None) -> NmeaLog:
     """
     if not files:
         raise InputError("no NMEA log given", expected="at least one file")
-    report = IntegrityReport(stream="nmea", format="NMEA 0183", files=[str(f) for f in files])
+    report = IntegrityReport.of("nmea", "NMEA 0183", files)
     texts: list[tuple[str, str, str | None]] = []
     numbers = array("d")
     bad: list[str] = []
@@ -785,7 +782,7 @@ def read_nmea(files: Sequence[Path], date: dt.date | None = None) -> NmeaLog:
     depths["t_gps_s"] += _since_sentence_s(depths, table, report)
     positions, depths = frame_of(GNSS_POSITION, dict(positions)), frame_of(DEPTH, dict(depths))
     _summarise(report, positions, depths, table)
-    return NmeaLog(positions=positions, depths=depths, report=report)
+    return PositionLog(positions=positions, depths=depths, report=report)
 
 
 def _positions(table: pd.DataFrame, report: IntegrityReport) -> pd.DataFrame:
@@ -808,8 +805,7 @@ def _positions(table: pd.DataFrame, report: IntegrityReport) -> pd.DataFrame:
         report.note(
             f"{bare.sum()} {kinds} sentences have no geoid separation: no ellipsoidal height can be given."
         )
-    if void := int((kept["fix"] == "none").sum()):
-        report.count("positions_without_fix", void)
+    report.count_some("positions_without_fix", (kept["fix"] == "none").sum())
     columns = ["t_gps_s", "lat_deg", "lon_deg", "h_ell_m", "fix", "n_sats", "age_s", "file"]
     unknown = dict.fromkeys(("cov_eu_m2", "cov_nu_m2", "ratio"), np.nan)
     return kept[columns].assign(**gst[list(_SIGMAS[3:])], cov_en_m2=cov_en.where(inside), **unknown)

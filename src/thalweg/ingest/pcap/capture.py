@@ -22,6 +22,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from thalweg.core import AnyArray, ArrayF, ArrayI, ArrayU8, InputError, UnsupportedError, njit
+from thalweg.ingest.framing import gather
 
 # ---------------------------------------------------------------- compiled walks over one window
 
@@ -376,13 +377,6 @@ def find_bare(buf: ArrayU8, n: int, o: int, size: int, marks: ArrayI, mark: int)
             return FOUND, o
         o += 1
     return NEED, o
-
-
-@njit(cache=True, nogil=True)
-def gather(buf: ArrayU8, start: ArrayI, payload: ArrayU8) -> None:
-    """Copy the bytes from each ``start`` into the rows of ``payload``."""
-    for i in range(start.size):
-        payload[i, :] = buf[start[i] : start[i] + payload.shape[1]]
 
 
 # ---------------------------------------------------------------- the record layers of capture files: classic

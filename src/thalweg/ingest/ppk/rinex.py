@@ -454,10 +454,10 @@ def describe_rinex(path: Path) -> IntegrityReport:
     """Integrity report of a RINEX observation or navigation file; raises as `scan_rinex` does."""
     scan = scan_rinex(path)
     t, observation = scan.t_gps_s, scan.kind == "observation"
-    report = IntegrityReport(
-        stream="raw GNSS" if observation else "GNSS ephemerides",
-        format=f"RINEX {scan.version} {scan.kind}",
-        files=[str(path)],
+    report = IntegrityReport.of(
+        "raw GNSS" if observation else "GNSS ephemerides",
+        f"RINEX {scan.version} {scan.kind}",
+        [path],
         model=scan.text("REC # / TYPE / VERS", 20, 40),
         time_scale="utc" if scan.time_system == "GLO" else "gps",
         synchronised=t.size > 0,

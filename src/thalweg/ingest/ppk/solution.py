@@ -12,6 +12,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -35,6 +36,7 @@ from thalweg.core import (
     utc_text_from_gps,
 )
 from thalweg.ingest import IntegrityReport
+from thalweg.ingest.framing import SKIPPED
 from thalweg.ingest.ppk import worker as ppk_worker
 from thalweg.ingest.ppk.options import AUTO_SYSTEMS, PpkOptions, ecef_fault, engine_settings
 from thalweg.ingest.ppk.residuals import code_factors, phase_factor, read_residuals
@@ -48,7 +50,7 @@ from thalweg.ingest.ppk.rinex import (
 )
 from thalweg.ingest.ppk.trust import read_solution, replace_covariances, trust_fixes
 from thalweg.ingest.recorders import RAW_OBSERVATIONS, ubx_frames, ubx_share
-from thalweg.ingest.sbp import find_messages
+from thalweg.ingest.sbp import SbpRecords, base_positions, collect, find_messages
 
 # ---------------------------------------------------------------- the engine behind a process border
 
@@ -189,8 +191,7 @@ _PROGRESS: Final = re.compile(r"processing|reading|scanning|\d{4}/\d\d/\d\d")
 
 # ---------------------------------------------------------------- SBP logs as PPK sees them
 
-MSG_BASE_POS_ECEF: Final = 0x0048
-MSG_OBS: Final = 0x004A
+_OBSERVATIONS: Final = 0x004A
 OLD_OBSERVATIONS: Final = {0x0043: "MsgObsDepB", 0x0045: "MsgObsDepA", 0x0049: "MsgObsDepC"}
 EPHEMERIDES: Final = frozenset(
     {0x001A, 0x0046, 0x0047, 0x0080, 0x0081, 0x0083, 0x0084, 0x0085, 0x0086, 0x0087, 0x0088, 0x0089,
@@ -199,40 +200,10 @@ EPHEMERIDES: Final = frozenset(
 """Message types 0x001A to 0x0095 that carry a broadcast ephemeris of any system."""
 
 
-@dataclass(frozen=True, slots=True)
-class SbpFrames:
-    """Intact frames by (type, sender), bytes outside of them, and stated base positions (n, 3) in metres."""
-
-    counts: dict[tuple[int, int], int]
-    n_frames: int
-    bytes_lost: int
-    base_ecef_m: ArrayF
-
-    def observations(self, *, base: bool) -> int:
-        """Observation messages of the base (sender 0) or of the rover (any other sender)."""
-        return sum(
-            n for (kind, sender), n in self.counts.items() if kind == MSG_OBS and (sender == 0) == base
-        )
-
-    def of_types(self, kinds: frozenset[int]) -> int:
-        """Frames of any of these types."""
-        return sum(n for (kind, _), n in self.counts.items() if kind in kinds)
-
-
-def walk_sbp(data: bytes) -> SbpFrames:
-    """Walk through all frames; bytes that belong to no intact frame are counted, never skipped silently."""
-    found = find_messages(np.frombuffer(data, dtype=np.uint8))
-    pairs, number = np.unique(np.stack([found.kind, found.sender]), axis=1, return_counts=True)
-    counts = {(int(k), int(s)): int(n) for k, s, n in zip(*pairs, number, strict=True)}
-    stated = np.flatnonzero((found.kind == MSG_BASE_POS_ECEF) & (found.length == 24))
-    base = found.payloads(stated, 24).view("<f8").astype(np.float64)
-    intact = int(found.length.sum()) + 8 * found.length.size
-    return SbpFrames(counts, found.kind.size, len(data) - intact, base)
-
-
-def looks_like_sbp(data: bytes) -> bool:
-    """True if at least two intact frames lie in the first 64 kB."""
-    return walk_sbp(data[:65536]).n_frames >= 2
+def _observations(records: SbpRecords, *, base: bool) -> int:
+    """Observation messages of the base (sender 0) or of the rover (any other sender)."""
+    of_type = {sender: n for (kind, sender), n in records.counts.items() if kind == _OBSERVATIONS}
+    return of_type.get(0, 0) if base else sum(of_type.values()) - of_type.get(0, 0)
 
 
 # ---------------------------------------------------------------- inputs
@@ -256,17 +227,13 @@ _CURE_BASE: Final = "Give base=None for the corrections inside an SBP log, or th
 
 @dataclass(slots=True)
 class PpkInputs:
-    """Prepared files: names for the engine, scans of what they hold, and the walk through SBP logs."""
+    """Prepared files: scans of what they hold, and SBP logs by role."""
 
-    engine_files: list[str]
-    base_glob: str
-    nav_files: list[str]
-    rover: list[RinexScan]
-    base: list[RinexScan]
-    nav: list[RinexScan]
-    rover_sbp: SbpFrames | None = None
-    base_sbp: SbpFrames | None = None
-    losses: dict[str, int] = field(default_factory=dict)
+    rover: list[RinexScan] = field(default_factory=list)
+    base: list[RinexScan] = field(default_factory=list)
+    nav: list[RinexScan] = field(default_factory=list)
+    sbp: dict[str, SbpRecords] = field(default_factory=dict)
+    losses: Counter[str] = field(default_factory=Counter)
     bytes_read: int = 0
     notes: list[str] = field(default_factory=list)
 
@@ -292,7 +259,7 @@ def kind_of_file(path: Path) -> Kind:
     with path.open("rb") as stream:
         head = stream.read(65536)
     if b"RINEX VERSION" not in head[:100]:
-        if looks_like_sbp(head):
+        if find_messages(np.frombuffer(head, np.uint8)).kind.size > 1:
             return "SBP"
         if ubx_share(head, path.stat().st_size):
             return "UBX"
@@ -328,29 +295,22 @@ def prepare_inputs(
     InputError : a file is missing, of the wrong kind, given twice, or holds no observations.
     """
     rover_kind, base_kind = check_inputs(rover, base, nav)
-    out = PpkInputs([], "", [], [], [], [])
+    out = PpkInputs()
     tasks: list[dict[str, Any]] = []
-    if rover_kind == "SBP":
-        out.rover_sbp = _join_sbp(rover, folder / "rover.sbp", "rover", out)
-        _need_observations(out.rover_sbp, rover[0], base=False)
-        tasks.append(_conversion(folder, "rover", ""))
-    elif rover_kind == "UBX":
-        tasks.append(_join_ubx(rover, folder, "rover", out))
-    else:
-        _copy_rinex(rover, folder, "rover", "obs", out)
+    for role, files, kind in (("rover", rover, rover_kind), ("base", base or (), base_kind)):
+        if kind == "SBP":
+            records = out.sbp[role] = _join_sbp(files, folder / f"{role}.sbp", role, out)
+            # the log of a receiver that only heard the base
+            relayed = role == "base" and not _observations(records, base=False)
+            _need_observations(records, files[0], base=relayed)
+            tasks.append(_conversion(folder, role, "CONVBASE,BASEPOS" if relayed else ""))
+        elif kind == "UBX":
+            tasks.append(_join_ubx(files, folder, role, out))
+        else:
+            _copy_rinex(files, folder, role, "obs", out)
     if base is None:
-        assert out.rover_sbp is not None
-        _need_observations(out.rover_sbp, rover[0], base=True)
+        _need_observations(out.sbp["rover"], rover[0], base=True)
         tasks.append(_conversion(folder, "base", "CONVBASE,BASEPOS", source="rover"))
-    elif base_kind == "SBP":
-        out.base_sbp = _join_sbp(base, folder / "base.sbp", "base", out)
-        relayed = not out.base_sbp.observations(base=False)  # the log of a receiver that only heard the base
-        _need_observations(out.base_sbp, base[0], base=relayed)
-        tasks.append(_conversion(folder, "base", "CONVBASE,BASEPOS" if relayed else ""))
-    elif base_kind == "UBX":
-        tasks.append(_join_ubx(base, folder, "base", out))
-    else:
-        _copy_rinex(base, folder, "base", "obs", out)
     _copy_rinex(nav, folder, "nav", "nav", out)
     if tasks:
         run_worker(tasks, folder, where=str(rover[0]), time_limit_s=time_limit_s)
@@ -364,7 +324,8 @@ def prepare_inputs(
     if not out.nav:
         found = "the navigation files hold no ephemeris" if nav else "no navigation file is given"
         if tasks and not nav:
-            heard = sum(s.of_types(EPHEMERIDES) for s in (out.rover_sbp, out.base_sbp) if s is not None)
+            counts = [item for records in out.sbp.values() for item in records.counts.items()]
+            heard = sum(n for (kind, _), n in counts if kind in EPHEMERIDES)
             found += f", and {heard} ephemeris messages of the SBP log gave none"
         raise InputError(
             found,
@@ -372,9 +333,6 @@ def prepare_inputs(
             where=nav[0] if nav else rover[0],
             cure="Give the RINEX navigation file of the receiver or of a network (BRDC) for that day",
         )
-    out.base_glob = str(folder / "base_*.obs")
-    out.nav_files = [str(scan.path) for scan in out.nav]
-    out.engine_files = [str(folder / "rover_*.obs"), out.base_glob, *out.nav_files]
     return out
 
 
@@ -497,27 +455,26 @@ def _refuse_doubles(rover: Sequence[Path], base: Sequence[Path], nav: Sequence[P
             seen[digest] = (role, Path(file))
 
 
-def _join_sbp(files: Sequence[Path], target: Path, role: str, out: PpkInputs) -> SbpFrames:
-    data = b"".join(Path(file).read_bytes() for file in files)
-    target.write_bytes(data)
-    frames = walk_sbp(data)
-    out.bytes_read += len(data)
-    if frames.bytes_lost:
-        out.losses[f"{role} SBP bytes outside of intact frames"] = frames.bytes_lost
+def _join_sbp(files: Sequence[Path], target: Path, role: str, out: PpkInputs) -> SbpRecords:
+    target.write_bytes(b"".join(Path(file).read_bytes() for file in files))
+    records, n_bytes = collect([target]), target.stat().st_size
+    out.bytes_read += n_bytes
+    if lost := int(records.tally.cells[SKIPPED]):
+        out.losses[f"{role} SBP bytes outside of intact frames"] = lost
         out.notes.append(
-            f"{role}: {frames.bytes_lost:,} of {len(data):,} SBP bytes belong to no intact frame "
-            "(cut or damaged log)."
+            f"{role}: {lost:,} of {n_bytes:,} SBP bytes belong to no intact frame (cut or damaged log)."
         )
-    return frames
+    return records
 
 
-def _need_observations(frames: SbpFrames, file: Path, *, base: bool) -> None:
-    if frames.observations(base=base):
+def _need_observations(records: SbpRecords, file: Path, *, base: bool) -> None:
+    if _observations(records, base=base):
         return
-    old = [name for kind, name in OLD_OBSERVATIONS.items() if frames.of_types(frozenset({kind}))]
+    kinds = {kind for kind, _ in records.counts}
+    old = [name for kind, name in OLD_OBSERVATIONS.items() if kind in kinds]
     who = "base observations (MsgObs of sender 0)" if base else "rover observations (MsgObs)"
     raise InputError(
-        f"no {who} among {frames.n_frames} messages" + (f"; it holds {', '.join(old)}" if old else ""),
+        f"no {who} among {records.counts.total()} messages" + (f"; it holds {', '.join(old)}" if old else ""),
         expected="MsgObs (0x004A), the raw observations",
         where=file,
         cure="Give the files of a base station"
@@ -527,7 +484,7 @@ def _need_observations(frames: SbpFrames, file: Path, *, base: bool) -> None:
 
 
 def _join_ubx(files: Sequence[Path], folder: Path, role: str, out: PpkInputs) -> dict[str, Any]:
-    report = IntegrityReport(stream=role, format="UBX", files=[])
+    report = IntegrityReport.of(role, "UBX", ())
     n = sum(name in RAW_OBSERVATIONS for file in files for name, _ in ubx_frames(Path(file), report))
     out.bytes_read += report.bytes_read
     if lost := report.losses.get("bytes_outside_messages", 0):
@@ -563,8 +520,7 @@ def _copy_rinex(files: Sequence[Path], folder: Path, role: str, suffix: str, out
         data = Path(file).read_bytes()
         out.bytes_read += len(data)
         for what, n in scan.losses.items():
-            key = f"{role} {what}"
-            out.losses[key] = out.losses.get(key, 0) + n
+            out.losses[f"{role} {what}"] += n
         if scan.losses:
             text = losses_in_words(scan)
             out.notes.append(f"{role}: damaged or cut records were left out of {Path(file).name}: {text}.")
@@ -818,12 +774,11 @@ def _base_position(inputs: PpkInputs, options: PpkOptions, base_file: Path) -> t
 
 
 def _sbp_base(inputs: PpkInputs, base_file: Path, notes: list[str]) -> ArrayF:
-    rows = [frames.base_ecef_m for frames in (inputs.rover_sbp, inputs.base_sbp) if frames is not None]
-    stated = np.concatenate(rows) if rows else np.zeros((0, 3))
+    stated = np.concatenate([np.empty((0, 3)), *map(base_positions, inputs.sbp.values())])
     valid = stated[[not ecef_fault(row) for row in stated]] if stated.size else stated
     if not valid.size:
         raise InputError(
-            f"no valid MsgBasePosECEF among {stated.shape[0]} in the SBP logs",
+            "no valid position of the base (MsgBasePosECEF, MsgBasePosLLH) in the SBP logs",
             expected="the surveyed position of the base in the log",
             where=base_file,
             cure="Give base_ecef_m or base_llh from the survey of the base",
@@ -865,7 +820,10 @@ def _solve(
         "action": "solve",
         "config": str(config),
         "readback": str(readback),
-        "inputs": [inputs.base_glob, *inputs.nav_files] if single else inputs.engine_files,
+        "inputs": [
+            *(str(folder / f"{role}_*.obs") for role in (("base",) if single else ("rover", "base"))),
+            *(str(scan.path) for scan in inputs.nav),
+        ],
         "output": str(output),
         "interval_s": 30.0 if single else 0.0,
     }
@@ -921,7 +879,7 @@ def _report(
     n_none = max(0, n_rover - len(positions))
     report = IntegrityReport(
         stream="PPK positions",
-        format="SBP" if inputs.rover_sbp is not None else f"RINEX {inputs.rover[0].version}",
+        format="SBP" if "rover" in inputs.sbp else f"RINEX {inputs.rover[0].version}",
         files=files,
         model=inputs.rover[0].text("REC # / TYPE / VERS", 20, 40),
         time_scale="gps",

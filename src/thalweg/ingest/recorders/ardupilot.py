@@ -94,9 +94,7 @@ def read_ardupilot(files: Sequence[Path], options: TrackOptions) -> PoseLog:
     InputError : a file holds neither attitudes, positions nor depths.
     UnsupportedError : pymavlink is not installed.
     """
-    report = IntegrityReport(
-        stream="ins", format="", files=[str(path) for path in files], time_scale="device"
-    )
+    report = IntegrityReport.of("ins", "", files, time_scale="device")
     logs = [_read(path, report) for path in files]
     *tables, triggers = zip(*logs, strict=True)
     states, positions, depths = (pd.concat(parts, ignore_index=True) for parts in tables)
@@ -114,11 +112,7 @@ def read_ardupilot(files: Sequence[Path], options: TrackOptions) -> PoseLog:
             "times."
         )
     return PoseLog(
-        states=states,
-        positions=positions,
-        depths=depths if len(depths) else None,
-        report=report,
-        triggers_gps_s=triggers_gps_s,
+        states=states, positions=positions, depths=depths, report=report, triggers_gps_s=triggers_gps_s
     )
 
 
@@ -323,12 +317,10 @@ def _dataflash_fixes(log: Messages, report: IntegrityReport) -> tuple[pd.DataFra
     gps = receivers[chosen]
     if gps.empty:
         return _fixes(gps, {}), np.nan
-    timed = gps[gps["GWk"] > 1024]
-    t_gps_s = pd.Series(gps_from_week(timed["GWk"], timed["GMS"] * 1e-3), index=timed.index).reindex(
-        gps.index
-    )
+    week = gps["GWk"].where(gps["GWk"] > 1024)
+    t_gps_s = gps_from_week(week, gps["GMS"] * 1e-3)
     offset_s = np.nan
-    if len(timed):
+    if week.notna().any():
         params = log.get("PARM", pd.DataFrame({"Name": [], "Value": []}))
         stated = zip(_texts(params["Name"]), params["Value"], strict=True)
         delay_ms = next((float(value) for name, value in stated if re.search("GPS1?_DELAY_MS", name)), 0.0)

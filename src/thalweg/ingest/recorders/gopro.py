@@ -47,9 +47,7 @@ def read_gopro(files: Sequence[Path], options: TrackOptions) -> PositionLog:
     UnsupportedError : telemetry-parser is not installed.
     InputError : no position with a fix: switched off, or a model without a receiver (HERO12).
     """
-    report = IntegrityReport(
-        stream="pos", format="GoPro video (GPMF)", files=[str(path) for path in files], time_scale="utc"
-    )
+    report = IntegrityReport.of("pos", "GoPro video (GPMF)", files, time_scale="utc")
     parts = [part for path in files for part in _payloads(path, report)]
     rows = np.concatenate([np.empty((0, 4)), *parts])
     track = pd.DataFrame(rows, columns=["unix_s", "lat_deg", "lon_deg", "fix"])
@@ -61,8 +59,7 @@ def read_gopro(files: Sequence[Path], options: TrackOptions) -> PositionLog:
             where=files[0],
             cure="Take the track of another receiver; `thalweg frames` makes photographs of the video",
         )
-    if lost := int((~held).sum()):
-        report.count("positions_without_fix", lost)
+    report.count_some("positions_without_fix", (~held).sum())
     report.note(
         "Heights of the camera are not taken: they are above mean sea level or without a stated zero."
     )
@@ -115,8 +112,7 @@ def _payloads(path: Path, report: IntegrityReport) -> Iterator[ArrayF]:
     elif told.any():
         begin_s = float((stamps_s - first * step_s)[told][0])
     late = told & (np.abs(stamps_s - begin_s - first * step_s) > _LATE_S)
-    if late.any():
-        report.count("payloads_with_a_stamp_of_another_second", int(late.sum()))
+    report.count_some("payloads_with_a_stamp_of_another_second", late.sum())
     for block, at, kind in zip(blocks, first, fix, strict=True):
         values = np.array(block["Data"], np.float64)[:, :2] / np.array(block["Scale"], np.float64)[:2]
         t_s = begin_s + (at + np.arange(len(values))) * step_s
@@ -128,7 +124,7 @@ def begin_by_gps(video: Path) -> dt.datetime | None:
 
     Positions come at a constant rate from the first frame on, with or without a fix.
     """
-    report = IntegrityReport(stream="pos", format="", files=[str(video)], time_scale="utc")
+    report = IntegrityReport.of("pos", "", [video], time_scale="utc")
     try:
         payloads = list(_payloads(video, report))
     except ThalwegError:

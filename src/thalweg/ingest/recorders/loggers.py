@@ -75,7 +75,7 @@ def read_depth_table(files: Sequence[Path], options: TrackOptions) -> PositionLo
 def _read(
     stream: str, words: str, files: Sequence[Path], values: Callable[[Table, IntegrityReport], pd.DataFrame]
 ) -> tuple[IntegrityReport, pd.DataFrame]:
-    report = IntegrityReport(stream=stream, format=words, files=[str(f) for f in files], time_scale="utc")
+    report = IntegrityReport.of(stream, words, files, time_scale="utc")
     parts = []
     for path in files:
         report.bytes_read += path.stat().st_size

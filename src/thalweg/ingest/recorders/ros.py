@@ -317,9 +317,7 @@ def _chosen(path: Path, stream: str, topics: Sequence[str]) -> tuple[str, ...]:
 
 def describe_bag(path: Path) -> IntegrityReport:
     """Topics of a bag with their numbers of messages, and what of them can be read."""
-    report = IntegrityReport(
-        stream="bag", format="ROS bag", files=[str(path)], bytes_read=path.stat().st_size, time_scale="host"
-    )
+    report = IntegrityReport.of("bag", "ROS bag", [path], bytes_read=path.stat().st_size, time_scale="host")
     held = _held(path)
     with _opened(path) as bag:
         report.t_first_s, report.t_last_s = (
@@ -358,11 +356,11 @@ def mounts_of_bag(path: Path) -> dict[str, str]:
             continue
         for _, _, message in _messages(path, name):
             for each in message.transforms:
-                q, shift = each.transform.rotation, each.transform.translation
-                if abs(q.x**2 + q.y**2 + q.z**2 + q.w**2 - 1.0) > _UNIT:
+                q, shift = _unit_of(each.transform.rotation), each.transform.translation
+                if q is None:
                     continue
                 step = np.eye(4)
-                step[:3, :3] = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix()
+                step[:3, :3] = Rotation.from_quat(q).as_matrix()
                 step[:3, 3] = shift.x, shift.y, shift.z
                 tree[each.child_frame_id] = each.header.frame_id, step
 
@@ -394,6 +392,12 @@ def mounts_of_bag(path: Path) -> dict[str, str]:
             angles = zip(("omega", "phi", "kappa"), turn, strict=True)
             found[sensor] += "".join(f", {name}_deg: {x:.2f}" for name, x in angles)
     return found
+
+
+def _unit_of(q: Any) -> list[float] | None:
+    """A quaternion x, y, z, w; None if it is no unit one, as where nothing was measured."""
+    own = [q.x, q.y, q.z, q.w]
+    return own if abs(sum(x * x for x in own) - 1.0) < _UNIT else None
 
 
 def _frame_of(path: Path, topic: str) -> str:
@@ -466,10 +470,10 @@ class BagLidar:
         InputError : no topic of clouds, several, or clouds without coordinates.
         UnsupportedError : rosbags is not installed.
         """
-        report = IntegrityReport(
-            stream="lidar",
-            format="ROS clouds",
-            files=[str(path) for path in self.files],
+        report = IntegrityReport.of(
+            "lidar",
+            "ROS clouds",
+            self.files,
             time_scale="host",
             synchronised=True,
             bytes_read=sum(path.stat().st_size for path in self.files),
@@ -497,8 +501,7 @@ class BagLidar:
         report.take_times(gps_from_unix(t_unix_s), "clouds")
         report.count("clouds", len(stamps))
         report.count("points", n_points)
-        if empty:
-            report.count("shots_without_return", empty)
+        report.count_some("shots_without_return", empty)
         _say_stamps(report, np.array(lags))
         for layout in layouts.values():
             report.note(
@@ -787,11 +790,8 @@ def read_bag_positions(files: Sequence[Path], options: TrackOptions) -> Position
     ------
     InputError : no topic of positions, or several and none is named.
     """
-    report = _report("gnss", "NavSatFix", files)
-    positions = _all("pos", files, options, report)
-    depths = _beside("depth", files, options, report)
-    report.take_gps_times(positions["t_gps_s"], "positions")
-    return PositionLog(positions=positions, depths=depths, report=report)
+    report = IntegrityReport.of("gnss", "ROS NavSatFix", files, time_scale="host")
+    return _read("pos", "positions", files, options, report)
 
 
 def read_bag_depths(files: Sequence[Path], options: TrackOptions) -> PositionLog:
@@ -801,16 +801,19 @@ def read_bag_depths(files: Sequence[Path], options: TrackOptions) -> PositionLog
     ------
     InputError : no topic of depths, or several and none is named.
     """
-    report = _report("depth", "Range", files)
-    depths = _all("depth", files, options, report)
-    report.take_gps_times(depths["t_gps_s"], "depths")
-    return PositionLog(positions=_beside("pos", files, options, report), depths=depths, report=report)
+    report = IntegrityReport.of("depth", "ROS Range", files, time_scale="host")
+    return _read("depth", "depths", files, options, report)
 
 
-def _report(stream: str, words: str, files: Sequence[Path]) -> IntegrityReport:
-    return IntegrityReport(
-        stream=stream, format=f"ROS {words}", files=[str(path) for path in files], time_scale="host"
-    )
+def _read(
+    stream: str, what: str, files: Sequence[Path], options: TrackOptions, report: IntegrityReport
+) -> PositionLog:
+    """Positions and depths, of which ``stream`` must be there."""
+    tables = {
+        name: (_all if name == stream else _beside)(name, files, options, report) for name in ("pos", "depth")
+    }
+    report.take_gps_times(tables[stream]["t_gps_s"], what)
+    return PositionLog(positions=tables["pos"], depths=tables["depth"], report=report)
 
 
 def _all(stream: str, files: Sequence[Path], options: TrackOptions, report: IntegrityReport) -> pd.DataFrame:
@@ -822,15 +825,15 @@ def _all(stream: str, files: Sequence[Path], options: TrackOptions, report: Inte
 
 def _beside(
     stream: str, files: Sequence[Path], options: TrackOptions, report: IntegrityReport
-) -> pd.DataFrame | None:
+) -> pd.DataFrame:
     """What bags hold beside the stream that is read; of several topics none, which a note tells."""
     holding = [path for path in files if stream in _offers(_held(path))]
     try:
-        found = _all(stream, holding, options, report) if holding else None
+        if holding:
+            return _all(stream, holding, options, report)
     except InputError as error:
         report.note(f"{error.found.split(';')[0]}: none is read beside. {error.cure}.")
-        return None
-    return None if found is None or found.empty else found
+    return {"pos": GNSS_POSITION, "depth": DEPTH}[stream].empty_table().to_pandas()
 
 
 def _fixes(path: Path, topic: str, report: IntegrityReport) -> pd.DataFrame:
@@ -843,8 +846,7 @@ def _fixes(path: Path, topic: str, report: IntegrityReport) -> pd.DataFrame:
     t_unix_s, t_recorded_s, status, lat, lon, height, kind = np.array(rows, np.float64).reshape(-1, 7).T
     cov = np.frombuffer(b"".join(covs)).reshape(-1, 9).T
     placed = (status >= 0) & (np.abs(lat) <= 90.0) & (np.abs(lon) <= 180.0) & ((lat != 0.0) | (lon != 0.0))
-    if lost := int((~placed).sum()):
-        report.count("positions_without_fix", lost)
+    report.count_some("positions_without_fix", (~placed).sum())
     known, full = kind > 0, kind == 3
     # zeros stand for unknown, whatever the kind says
     sigmas = [np.sqrt(np.where(known & (cov[k] > 0), cov[k], np.nan)) for k in (0, 4, 8)]
@@ -892,7 +894,7 @@ def read_bag_poses(files: Sequence[Path], options: TrackOptions) -> PoseLog:
     chosen = [_chosen(path, "ins", options.topics) for path in files]
     if all(len(topics) == 1 for topics in chosen):
         return _poses([(path, topic) for path, (topic,) in zip(files, chosen, strict=True)], options)
-    report = _report("ins", "Imu and NavSatFix", files)
+    report = IntegrityReport.of("ins", "ROS Imu and NavSatFix", files, time_scale="host")
     parts = list(zip(files, chosen, strict=True))
     positions = pd.concat([_fixes(path, fix, report) for path, (_, fix) in parts], ignore_index=True)
     states = pd.concat(
@@ -911,21 +913,21 @@ def read_bag_poses(files: Sequence[Path], options: TrackOptions) -> PoseLog:
 
 def _poses(parts: Sequence[tuple[Path, str]], options: TrackOptions) -> PoseLog:
     """Poses of messages that hold position and orientation together, in the frame that options state."""
-    report = IntegrityReport(stream="ins", format="ROS poses", files=[str(path) for path, _ in parts])
+    report = IntegrityReport.of("ins", "ROS poses", [path for path, _ in parts])
     stamps, places, quaternions, covariances, lags = [], [], [], [], []
     frames: dict[str, None] = {}
     for path, topic in parts:
         for stamp_s, recorded_s, message in _messages(path, topic, report):
             covered = message.pose if hasattr(message.pose, "pose") else None
             pose = message.pose if covered is None else covered.pose
-            p, q = pose.position, pose.orientation
-            if not abs(q.x**2 + q.y**2 + q.z**2 + q.w**2 - 1.0) < _UNIT:
+            p, q = pose.position, _unit_of(pose.orientation)
+            if q is None:
                 report.count("messages_without_orientation")
                 continue
             stamps.append(stamp_s)
             lags.append(recorded_s - stamp_s)
             places.append([p.x, p.y, p.z])
-            quaternions.append([q.x, q.y, q.z, q.w])
+            quaternions.append(q)
             covariances.append(np.zeros(36) if covered is None else covered.covariance)
             frames[str(message.header.frame_id)] = None
     if not stamps:
@@ -959,13 +961,12 @@ def _attitudes(path: Path, topic: str, report: IntegrityReport, axes: str | None
     stamps, quaternions, variances, rates, felt_mps2 = [], [], [], [], []
     for stamp_s, _, message in _messages(path, topic, report):
         a = message.linear_acceleration
-        q = message.orientation
-        unit = abs(q.x**2 + q.y**2 + q.z**2 + q.w**2 - 1.0) < _UNIT
-        if message.orientation_covariance[0] == -1 or not unit:
+        q = _unit_of(message.orientation)
+        if message.orientation_covariance[0] == -1 or q is None:
             report.count("messages_without_orientation")
             continue
         stamps.append(stamp_s)
-        quaternions.append([q.x, q.y, q.z, q.w])
+        quaternions.append(q)
         variances.append(np.asarray(message.orientation_covariance)[[0, 4, 8]])
         rates.append([message.angular_velocity.x, -message.angular_velocity.y, -message.angular_velocity.z])
         felt_mps2.append([a.x, a.y, a.z])

@@ -93,8 +93,7 @@ def read_lowrance(files: Sequence[Path], options: TrackOptions) -> PositionLog:
     channel = int(seen.groupby("channel").size().pipe(lambda n: n[n == n.max()]).index.min())
     own = present[present["channel"] == channel].reset_index(drop=True)
     report.count("pings", len(own))
-    if others := len(pings) - len(own):
-        report.count("pings_of_other_channels", others)
+    report.count_some("pings_of_other_channels", len(pings) - len(own))
     report.note(f"Depths of the {_CHANNELS[channel]} channel, below the transducer; places in whole metres.")
     unix_s = own["unix_s"].to_numpy()
     if np.isnan(unix_s).all():
@@ -104,7 +103,7 @@ def read_lowrance(files: Sequence[Path], options: TrackOptions) -> PositionLog:
         "lon_deg": np.rad2deg(own["x"] / _MERCATOR_RADIUS_M),
     }
     known = ((own["x"] != 0) | (own["y"] != 0)) & (place["lon_deg"].abs() <= 180.0)
-    return _log(report, _gps(unix_s), place, known, own["depth_m"], "Lowrance")
+    return _log(report, gps_from_unix(unix_s), place, known, own["depth_m"], "Lowrance")
 
 
 def _frames(path: Path, report: IntegrityReport) -> pd.DataFrame:
@@ -267,11 +266,10 @@ def read_pd0(files: Sequence[Path], options: TrackOptions) -> PositionLog:
     draught = table["transducer_m"].median()
     report.note(f"Depths are below the transducer; the log states its draught as {draught:.2f} m, not added.")
     if (vertical > 0).any():
-        log = _log(report, _gps(t_unix_s), place, known, vertical, "PD0 vertical beam")
+        log = _log(report, gps_from_unix(t_unix_s), place, known, vertical, "PD0 vertical beam")
     else:
-        log = _log(report, _gps(t_unix_s), place, known, mean, "PD0 slanted beams")
+        log = _log(report, gps_from_unix(t_unix_s), place, known, mean, "PD0 slanted beams")
         report.note("No vertical beam: each slanted beam is a sounding where it hits, by the compass.")
-        assert log.soundings is not None
         beams = table[[f"beam{k}_m" for k in range(4)]].to_numpy(np.float64)
         log.soundings = _slanted(table[known], beams[known], t_unix_s[known])
     return _with_fixes(log, table)
@@ -455,8 +453,7 @@ def read_sontek(files: Sequence[Path], options: TrackOptions) -> PositionLog:
     place = {name: table[name] for name in ("lat_deg", "lon_deg")}
     words = f"SonTek {'vertical beam' if seen else 'slanted beams'}"
     below_m = np.where(water_m > 0, np.maximum(water_m - draught_m, 0.0), 0.0)
-    log = _log(report, _gps(t_unix_s), place, table["lat_deg"].notna(), below_m, words)
-    assert log.soundings is not None
+    log = _log(report, gps_from_unix(t_unix_s), place, table["lat_deg"].notna(), below_m, words)
     log.soundings["depth_m"] += draught_m[log.soundings.index]
     return _with_fixes(log, table)
 
@@ -528,13 +525,7 @@ def _transect(path: Path, report: IntegrityReport) -> pd.DataFrame:
 
 
 def _report(words: str, files: Sequence[Path]) -> IntegrityReport:
-    return IntegrityReport(
-        stream="depth", format=words, files=[str(path) for path in files], time_scale="utc"
-    )
-
-
-def _gps(unix_s: ArrayF) -> ArrayF:
-    return np.where(np.isnan(unix_s), np.nan, gps_from_unix(np.nan_to_num(unix_s, nan=1e9)))
+    return IntegrityReport.of("depth", words, files, time_scale="utc")
 
 
 def _log(
@@ -554,8 +545,7 @@ def _log(
     report.take_times(t_gps_s, "pings")
     placed = np.asarray(known, bool)
     for what, missing in (("pings_without_bottom", depth <= 0), ("pings_without_place", ~placed)):
-        if missing.any():
-            report.count(what, int(missing.sum()))
+        report.count_some(what, missing.sum())
     names = {"latitude": places["lat_deg"], "longitude": places["lon_deg"], "depth_m": depth}
     soundings = pd.DataFrame(names)[placed & (depth > 0)]
     if report.synchronised:
@@ -567,7 +557,6 @@ def _log(
 
 def _with_fixes(log: PositionLog, table: pd.DataFrame) -> PositionLog:
     kept = table[table["lat_deg"].notna()].reset_index(drop=True)
-    assert log.positions is not None
     log.positions["fix"] = kept["quality"].map(_FIX).fillna("single")
     log.positions["n_sats"] = kept["n_sats"].astype("int32")
     return log

@@ -88,8 +88,7 @@ def ubx_frames(path: Path, report: IntegrityReport | None = None) -> Iterator[tu
         size = path.stat().st_size
         report.bytes_read += size
         for other in ("NMEA", "RTCM"):
-            if covered[other]:
-                report.count(f"bytes_of_{other}", covered[other])
+            report.count_some(f"bytes_of_{other}", covered[other])
         report.lose("bytes_outside_messages", size - covered.total())
 
 
@@ -112,9 +111,7 @@ def read_ubx(files: Sequence[Path], options: TrackOptions) -> PositionLog:
     """
     from pyubx2 import UBXReader
 
-    report = IntegrityReport(
-        stream="gnss", format="u-blox UBX log", files=[str(path) for path in files], time_scale="gps"
-    )
+    report = IntegrityReport.of("gnss", "u-blox UBX log", files, time_scale="gps")
     numbers: Counter[str] = Counter()
     parts = []
     for path in files:  # each with weeks of its own: the same second of two weeks is told apart
@@ -135,14 +132,14 @@ def read_ubx(files: Sequence[Path], options: TrackOptions) -> PositionLog:
             _say_heading(tables["NAV-RELPOSNED"], report)
     report.details["messages"] = dict(sorted(numbers.items()))
     positions = pd.concat(parts, ignore_index=True)
-    depths = None
+    log = PositionLog(report=report, positions=positions)
     if report.counts.get("bytes_of_NMEA"):
         beside = read_nmea(files, date=options.date)
-        depths = beside.depths
+        log.depths = beside.depths
         if positions.empty and len(beside.positions):
-            positions = beside.positions
+            log.positions = beside.positions
             report.note("Positions are those of its NMEA sentences: no NAV message with one is logged.")
-    report.take_gps_times(positions["t_gps_s"], "positions")
+    report.take_gps_times(log.positions["t_gps_s"], "positions")
     raw_epochs = sum(numbers[name] for name in RAW_OBSERVATIONS)
     if raw_epochs:
         report.count("raw_epochs", raw_epochs)
@@ -151,7 +148,7 @@ def read_ubx(files: Sequence[Path], options: TrackOptions) -> PositionLog:
         )
     if numbers["TIM-TM2"]:
         report.note(f"{numbers['TIM-TM2']:,} time marks (TIM-TM2) are not read.")
-    return PositionLog(positions=positions, depths=depths, report=report)
+    return log
 
 
 def _week_of_raw(name: str, raw: bytes) -> int:
@@ -209,8 +206,7 @@ def _positions(tables: dict[str, pd.DataFrame], report: IntegrityReport, path: P
         }  # fmt: skip
     found = frame_of(GNSS_POSITION, values, unknown=np.nan)
     without = found["fix"] == "none"
-    if without.any():
-        report.count("positions_without_fix", int(without.sum()))
+    report.count_some("positions_without_fix", without.sum())
     return found[~without].reset_index(drop=True)
 
 
@@ -233,7 +229,7 @@ def _t_gps_s(table: pd.DataFrame, tables: dict[str, pd.DataFrame], report: Integ
     if np.isnan(week).any():
         report.count("positions_without_week", int(np.isnan(week).sum()))
         report.note("No message tells the week of some positions: they have no GPS time.")
-    return np.where(np.isfinite(week), gps_from_week(np.nan_to_num(week), tow_s), np.nan)
+    return gps_from_week(week, tow_s)
 
 
 def _say_heading(table: pd.DataFrame, report: IntegrityReport) -> None:

@@ -1,4 +1,3 @@
-from .base import Recording as Recording
 from .calibrations import (
     CalibrationReport as CalibrationReport,
     largest_correlations as largest_correlations,

@@ -1,37 +1,25 @@
 """A row of the registry: one format, how it is told from others, and who reads it."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
-
-import pandas as pd
 
 from thalweg.core import AnyArray
 from thalweg.ingest import (
     HEAD_BYTES as HEAD_BYTES,
     CloudReader,
-    IntegrityReport,
     LidarOptions,
     LidarReader,
     PoseReader,
+    PositionLog,
     PositionReader,
+    TrackOptions,
     read_head as read_head,
 )
 
 SURE: Final = 1.0
 """What `Format.matches` gives for content that is of no other format."""
-
-
-@dataclass(slots=True, kw_only=True)
-class Recording:
-    """What a log holds: its report, and in ``tables`` any of ``positions`` (kind ``gnss_position``),
-    ``states`` (``ins_state``) and ``depths`` (``depth``).
-    """
-
-    kind: str
-    report: IntegrityReport
-    tables: dict[str, pd.DataFrame] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -52,12 +40,12 @@ class Format:
         0 to `SURE`; asked where no ``magic`` is given, or behind it.
     lidar, poses, positions, cloud : its reader, by what it yields.
     depths : its reader of depths, where that of positions or poses needs more than these.
-    describe : kind, files and options -> `Recording`.
+    describe : kind, files and options -> what the files hold; None: what its reader finds in them.
     """
 
     kind: str
     words: str
-    describe: Callable[[str, list[Path], dict[str, Any]], Recording]
+    describe: Callable[[str, list[Path], dict[str, Any]], PositionLog] | None = None
     streams: tuple[str, ...] = ()
     holds: Callable[[Path], Mapping[str, Sequence[tuple[str, ...]]]] | None = None
     use: str = ""
@@ -74,6 +62,18 @@ class Format:
         if self.magic and not head.startswith(self.magic):
             return 0.0
         return SURE if self.matches is None else float(self.matches(head, size))
+
+    def read(self, files: list[Path], options: dict[str, Any]) -> PositionLog:
+        """Report of files of this format, with the positions, depths and states that they hold."""
+        if self.describe is not None:
+            return self.describe(self.kind, files, options)
+        if self.lidar is not None:
+            return PositionLog(report=self.lidar(files, LidarOptions(**options)).scan().report)
+        if self.cloud is not None:
+            return PositionLog(report=self.cloud(files[0]).report)
+        reader = self.poses or self.positions
+        assert reader is not None
+        return reader(files, TrackOptions(**options))
 
 
 def find_format(formats: Sequence[Format], path: Path) -> Format | None:

@@ -1,7 +1,7 @@
 """What a calibration file says, in lines for a terminal: values, sigmas, correlations, equations, source."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -31,8 +31,8 @@ from thalweg.core.calibration import (
     read_matrix,
     unit_of,
 )
-from thalweg.ingest import IntegrityReport
-from thalweg.ingest.registry.base import Format, Recording
+from thalweg.ingest import IntegrityReport, PositionLog
+from thalweg.ingest.registry.base import Format
 
 LARGEST: Final = 5
 """Correlations that are listed."""
@@ -56,24 +56,7 @@ class CalibrationReport(IntegrityReport):
         return out + [f"  note      {sentence}" for sentence in self.notes]
 
 
-def describe_calibration(kind: str, path: Path) -> IntegrityReport:
-    """Report on a calibration of any kind.
-
-    Parameters
-    ----------
-    kind : ``calibration``, ``kalibr``, ``matrix``, ``colmap`` or ``opencv``.
-    path : the file.
-
-    Raises
-    ------
-    ConfigError, InputError : the file is wrong; see the readers.
-    """
-    if kind == "kalibr":
-        return _kalibr(path)
-    if kind == "matrix":
-        return _matrix(path)
-    if kind in ("colmap", "opencv"):
-        return _cameras(kind, path)
+def _calibration(path: Path) -> IntegrityReport:
     calibration = read_calibration(path)
     report = _report(path, f"Thalweg calibration, version {VERSION}", calibration.title)
     source = calibration.source
@@ -151,7 +134,7 @@ def largest_correlations(calibration: Calibration, n: int = LARGEST) -> list[str
 
 
 def _report(path: Path, kind: str, title: str = "") -> CalibrationReport:
-    report = CalibrationReport(stream="calibration", format=kind, files=[str(path)], model=title)
+    report = CalibrationReport.of("calibration", kind, [path], model=title)
     report.bytes_read = path.stat().st_size
     return report
 
@@ -177,12 +160,18 @@ def _kalibr_lines(found: KalibrCamera) -> list[str]:
     return lines
 
 
-def _cameras(kind: str, path: Path) -> IntegrityReport:
-    report = _report(path, "COLMAP cameras" if kind == "colmap" else "camera file of OpenCV or ROS")
-    cameras = read_colmap(path) if kind == "colmap" else {0: read_opencv(path)}
-    for number, camera in cameras.items():
-        report.details[f"camera {number}" if kind == "colmap" else "camera"] = camera_lines(camera)
-        report.count("cameras")
+def _colmap(path: Path) -> IntegrityReport:
+    cameras = read_colmap(path)
+    return _cameras(_report(path, "COLMAP cameras"), {f"camera {k}": each for k, each in cameras.items()})
+
+
+def _opencv(path: Path) -> IntegrityReport:
+    return _cameras(_report(path, "camera file of OpenCV or ROS"), {"camera": read_opencv(path)})
+
+
+def _cameras(report: CalibrationReport, cameras: Mapping[str, Camera]) -> IntegrityReport:
+    report.count("cameras", len(cameras))
+    report.details |= {name: camera_lines(camera) for name, camera in cameras.items()}
     report.note("The file does not say how well its values are known.")
     return report
 
@@ -229,17 +218,20 @@ def _matches(pattern: re.Pattern[bytes], head: bytes, size: int) -> bool:
     return is_text(head) and pattern.search(head) is not None
 
 
-def _describe(kind: str, files: list[Path], options: dict[str, Any]) -> Recording:
-    return Recording(kind=kind, report=describe_calibration(kind, files[0]))
+def _describe(
+    told: Callable[[Path], IntegrityReport], kind: str, files: list[Path], options: dict[str, Any]
+) -> PositionLog:
+    return PositionLog(report=told(files[0]))
 
 
 _CONTROL = re.compile(rb"[^\t\n\r\x20-\xff]")
 _TEXTS: Final = (
-    ("calibration", "calibration file", re.compile(rb"(?m)^thalweg_calibration[ \t]*:")),
-    ("kalibr", "Kalibr camera chain", re.compile(rb"(?m)^cam0[ \t]*:")),
+    ("calibration", "calibration file", _calibration, re.compile(rb"(?m)^thalweg_calibration[ \t]*:")),
+    ("kalibr", "Kalibr camera chain", _kalibr, re.compile(rb"(?m)^cam0[ \t]*:")),
     (
         "colmap",
         "COLMAP cameras.txt",
+        _colmap,
         re.compile(
             rb"(?m)\A(?:[ \t]*#[^\n]*\n)*\d+[ \t]+[A-Z_]+[ \t]+\d+[ \t]+\d+(?:[ \t]+[-+.\deE]+)+[ \t\r]*$"
         ),
@@ -247,6 +239,7 @@ _TEXTS: Final = (
     (
         "opencv",
         "camera file of OpenCV or ROS",
+        _opencv,
         re.compile(
             rb"(?m)^[ \t{]*\"?(?:camera_matrix|cameraMatrix|Camera_Matrix|camera_intrinsics|intrinsic_matrix"
             rb"|K)\"?[ \t]*:|\A" + LENS_LINE.pattern.encode()
@@ -255,14 +248,15 @@ _TEXTS: Final = (
     (
         "matrix",
         "4x4 matrix in a text file",
+        _matrix,
         re.compile(
             rb"\A(?:\s*(?:#|//)[^\n]*\n)*(?:[ \t]*(?:[-+.\deE]+(?:[ \t,;]+|(?=[\r\n]|\Z))){4}[\r\n]*){4}\s*\Z"
         ),
     ),
 )
-"""Kind, words for people, and what the content holds, which is text."""
+"""Kind, words for people, what describes it, and what the content holds, which is text."""
 
 CALIBRATIONS: Final = tuple(
-    Format(kind=kind, words=words, matches=partial(_matches, pattern), describe=_describe)
-    for kind, words, pattern in _TEXTS
+    Format(kind=kind, words=words, matches=partial(_matches, pattern), describe=partial(_describe, told))
+    for kind, words, told, pattern in _TEXTS
 )

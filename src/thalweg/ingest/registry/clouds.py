@@ -1,10 +1,10 @@
 """Formats of finished point clouds."""
 
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from thalweg.ingest import Cloud
-from thalweg.ingest.registry.base import Format, Recording
+from thalweg.ingest.registry.base import Format
 
 
 def _cloud(path: Path) -> Cloud:
@@ -13,19 +13,8 @@ def _cloud(path: Path) -> Cloud:
     return read_cloud(path)
 
 
-def _describe(kind: str, files: list[Path], options: dict[str, Any]) -> Recording:
-    return Recording(kind=kind, report=_cloud(files[0]).report)
-
-
 CLOUDS: Final = tuple(
-    Format(
-        kind=kind,
-        words=words,
-        streams=("reference", "cloud"),
-        magic=(magic,),
-        cloud=_cloud,
-        describe=_describe,
-    )
+    Format(kind=kind, words=words, streams=("reference", "cloud"), magic=(magic,), cloud=_cloud)
     for kind, words, magic in (
         ("las", "LAS/LAZ cloud", b"LASF"),
         ("ply", "PLY cloud or mesh", b"ply"),

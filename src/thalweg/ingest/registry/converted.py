@@ -6,7 +6,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from thalweg.ingest.registry.base import Format, Recording
+from thalweg.ingest import PositionLog
+from thalweg.ingest.registry.base import Format
 from thalweg.ingest.registry.calibrations import CalibrationReport, is_text
 
 
@@ -21,11 +22,11 @@ def _is_humminbird(head: bytes, size: int) -> bool:
     return grow and bool((np.diff(pairs[:, 0]) >= 0).all())
 
 
-def _describe(words: str, use: str, kind: str, files: list[Path], options: dict[str, Any]) -> Recording:
+def _describe(words: str, use: str, kind: str, files: list[Path], options: dict[str, Any]) -> PositionLog:
     size = files[0].stat().st_size
-    report = CalibrationReport(stream="other", format=words, files=[str(files[0])], bytes_read=size)
+    report = CalibrationReport.of("other", words, files[:1], bytes_read=size)
     report.details["use"] = use
-    return Recording(kind=kind, report=report)
+    return PositionLog(report=report)
 
 
 CONVERTED: Final = tuple(

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from thalweg.core import InputError, ThalwegError
-from thalweg.ingest import IntegrityReport
-from thalweg.ingest.registry.base import Format, Recording, find_format, read_head
+from thalweg.ingest import IntegrityReport, PositionLog
+from thalweg.ingest.registry.base import Format, find_format, read_head
 from thalweg.ingest.registry.calibrations import CALIBRATIONS
 from thalweg.ingest.registry.clouds import CLOUDS
 from thalweg.ingest.registry.converted import CONVERTED
@@ -136,9 +136,10 @@ def also_streams(kind: str, path: Path) -> list[str]:
     if "depth" not in row.streams[1:]:
         return []
     try:
-        return ["depth"] if read_depths([path]).depths is not None else []
+        read_depths([path])
     except ThalwegError:
         return []
+    return ["depth"]
 
 
 def what_it_is_for(kind: str, path: Path) -> str:
@@ -179,7 +180,7 @@ def describe(path: Path, options: Mapping[str, Any] | None = None) -> IntegrityR
     return load_recording([path], options).report
 
 
-def load_recording(files: list[Path], options: Mapping[str, Any] | None = None) -> Recording:
+def load_recording(files: list[Path], options: Mapping[str, Any] | None = None) -> PositionLog:
     """Read a log of any kind.
 
     Parameters
@@ -191,5 +192,4 @@ def load_recording(files: list[Path], options: Mapping[str, Any] | None = None) 
     ------
     InputError : see `describe`.
     """
-    known = FORMAT_OF_KIND[recognise(files[0])]
-    return known.describe(known.kind, files, dict(options or {}))
+    return FORMAT_OF_KIND[recognise(files[0])].read(files, dict(options or {}))

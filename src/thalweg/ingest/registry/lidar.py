@@ -12,6 +12,7 @@ from thalweg.ingest import (
     LidarScan,
     OusterReader,
     PointBlock,
+    PositionLog,
     TrackOptions,
     describe_metadata,
     is_ouster_capture,
@@ -28,7 +29,7 @@ from thalweg.ingest.recorders import (
     read_bag_positions,
     streams_of_bag,
 )
-from thalweg.ingest.registry.base import Format, Recording, find_format
+from thalweg.ingest.registry.base import Format, find_format
 
 _PAYLOAD = 1206
 _PCAP: Final = (
@@ -100,8 +101,8 @@ class _OfPackets:
         return self.reader.points(clock, **how)
 
 
-def _describe_bag(kind: str, files: list[Path], options: dict[str, Any]) -> Recording:
-    recording = Recording(kind=kind, report=describe_bag(files[0]))
+def _describe_bag(kind: str, files: list[Path], options: dict[str, Any]) -> PositionLog:
+    found = PositionLog(report=describe_bag(files[0]))
     streams = streams_of_bag(files[0])
     on_earth = [(imu, fix) for imu, *fixes in streams.get("ins", []) for fix in fixes]
     for choices, reader in (
@@ -111,21 +112,8 @@ def _describe_bag(kind: str, files: list[Path], options: dict[str, Any]) -> Reco
     ):
         if len(choices) == 1:  # of several the reader would ask which
             log = reader(files, TrackOptions())
-            tables = {
-                "positions": log.positions,
-                "depths": log.depths,
-                "states": getattr(log, "states", None),
-            }
-            recording.tables |= {name: table for name, table in tables.items() if table is not None}
-    return recording
-
-
-def _describe_metadata(kind: str, files: list[Path], options: dict[str, Any]) -> Recording:
-    return Recording(kind=kind, report=describe_metadata(files[0]))
-
-
-def _describe(kind: str, files: list[Path], options: dict[str, Any]) -> Recording:
-    return Recording(kind=kind, report=lidar_reader(files, LidarOptions(**options)).scan().report)
+            found.positions, found.depths = log.positions, log.depths
+    return found
 
 
 def _is_payloads(head: bytes, size: int) -> bool:
@@ -156,7 +144,6 @@ LIDARS: Final = (
         magic=_PCAP,
         matches=is_ouster_capture,
         lidar=_ouster,
-        describe=_describe,
     ),
     Format(
         kind="ouster_metadata",
@@ -164,7 +151,7 @@ LIDARS: Final = (
         streams=("lidar",),
         matches=is_ouster_metadata,
         lidar=_ouster,
-        describe=_describe_metadata,
+        describe=lambda kind, files, options: PositionLog(report=describe_metadata(files[0])),
     ),
     Format(
         kind="capture",
@@ -172,7 +159,6 @@ LIDARS: Final = (
         streams=("lidar",),
         magic=_PCAP,
         lidar=_velodyne,
-        describe=_describe,
     ),
     Format(
         kind="velodyne_payloads",
@@ -180,6 +166,5 @@ LIDARS: Final = (
         streams=("lidar",),
         matches=_is_payloads,
         lidar=_velodyne,
-        describe=_describe,
     ),
 )

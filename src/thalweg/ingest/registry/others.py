@@ -15,8 +15,8 @@ import numpy as np
 
 from thalweg.core import InputError, open_raster, read_dsm, read_metashape
 from thalweg.core.values import VECTOR_FORMATS, describe_layers, vector_format
-from thalweg.ingest import NAMES, column_of, read_text_table
-from thalweg.ingest.registry.base import Format, Recording
+from thalweg.ingest import NAMES, PositionLog, column_of, read_text_table
+from thalweg.ingest.registry.base import Format
 from thalweg.ingest.registry.calibrations import CalibrationReport, camera_lines, is_text
 
 _GEO_TAGS: Final = frozenset({33550, 33922, 34264, 34735})
@@ -145,8 +145,8 @@ _DRAWN: Final = (
 )
 
 
-def _describe(words: str, use: str, kind: str, files: list[Path], options: dict[str, Any]) -> Recording:
-    report = CalibrationReport(stream="other", format=words, files=[str(files[0])])
+def _describe(words: str, use: str, kind: str, files: list[Path], options: dict[str, Any]) -> PositionLog:
+    report = CalibrationReport.of("other", words, files[:1])
     report.bytes_read = files[0].stat().st_size
     if kind == "geotiff":
         report.details |= _raster(files[0])
@@ -162,7 +162,7 @@ def _describe(words: str, use: str, kind: str, files: list[Path], options: dict[
     if kind in VECTOR_FORMATS:
         report.details |= _drawn(files[0], report)
     report.details["use"] = use
-    return Recording(kind=kind, report=report)
+    return PositionLog(report=report)
 
 
 def _tell_table(path: Path, report: CalibrationReport) -> None:

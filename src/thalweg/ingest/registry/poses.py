@@ -11,10 +11,10 @@ import numpy as np
 import pandas as pd
 
 from thalweg.core import WEEK_S, ArrayF, InputError, gps_from_week
-from thalweg.ingest import PoseLog, PoseReader, TrackOptions, doubtful_date
+from thalweg.ingest import PoseLog, PoseReader, PositionLog, TrackOptions, doubtful_date
 from thalweg.ingest.anpp import find_packets, read_anpp
 from thalweg.ingest.recorders import is_dataflash, is_telemetry, read_ardupilot, ubx_share
-from thalweg.ingest.registry.base import Format, Recording, find_format, framed_share, read_head
+from thalweg.ingest.registry.base import Format, find_format, framed_share, read_head
 from thalweg.ingest.registry.calibrations import CalibrationReport
 from thalweg.ingest.registry.lidar import BAG
 from thalweg.ingest.tracks import (
@@ -135,54 +135,43 @@ def _refuse_upside_down(log: PoseLog, where: Path) -> None:
         )
 
 
-def _anpp(files: Sequence[Path], options: TrackOptions) -> PoseLog:
-    log = read_anpp(files)
-    return PoseLog(states=log.states, positions=log.gnss, depths=log.depth, report=log.report)
-
-
 def _sbet(files: Sequence[Path], options: TrackOptions) -> PoseLog:
-    log = read_sbet(files, gps_week=options.gps_week, smrmsg=options.smrmsg or None)
-    return PoseLog(states=log.states, report=log.report)
+    return read_sbet(files, gps_week=options.gps_week, smrmsg=options.smrmsg)
 
 
 def _poses(kind: str, files: Sequence[Path], options: TrackOptions) -> PoseLog:
     return states_of_poses(read_text_poses(kind, files, options.times), options)
 
 
-def _describe_poses(kind: str, files: list[Path], options: dict[str, Any]) -> Recording:
+def _describe_poses(kind: str, files: list[Path], options: dict[str, Any]) -> PositionLog:
     """As it stands, or on Earth if the options say where."""
     if options.keys() - {"times"}:
-        log = _poses(kind, files, TrackOptions(**options))
-        return Recording(kind=kind, report=log.report, tables={"states": log.states})
+        return _poses(kind, files, TrackOptions(**options))
     report = read_text_poses(kind, files, options.get("times")).report
     report.note(
         "The table states neither frame on Earth, axes of the body, scale of time nor standard deviations: "
         "the reader asks for them."
     )
-    return Recording(kind=kind, report=report)
+    return PositionLog(report=report)
 
 
 def _describe_weekless(
     reader: PoseReader, lacking: str, kind: str, files: list[Path], options: dict[str, Any]
-) -> Recording:
-    log = reader(files, TrackOptions(**({"gps_week": _NO_WEEK} | options)))
-    _take_week_off(log, lacking)
-    return Recording(kind=kind, report=log.report, tables={"states": log.states})
-
-
-def _take_week_off(log: PoseLog, lacking: str) -> None:
+) -> PositionLog:
     """Stamps as they stand in a file that is only described and tells no week, and no GPS time."""
+    log = reader(files, TrackOptions(**({"gps_week": _NO_WEEK} | options)))
     report, t0 = log.report, float(gps_from_week(_NO_WEEK, 0.0))
     if report.t_first_s is None or report.t_last_s is None or report.t_first_s > t0 + 2 * WEEK_S:
         if doubt := doubtful_date(log.states["t_gps_s"]):
             report.note(doubt)
-        return
+        return log
     report.synchronised = False
     report.t_first_s, report.t_last_s = report.t_first_s - t0, report.t_last_s - t0
     report.note(
         f"The file holds {lacking}, only seconds of the week: give its GPS week (logs.gps_week) to place it."
     )
     log.states["t_gps_s"] = np.nan
+    return log
 
 
 def _is_table(kind: str, head: bytes, size: int) -> bool:
@@ -214,13 +203,6 @@ def _is_table(kind: str, head: bytes, size: int) -> bool:
 
 def _is_unit(values: Sequence[float]) -> bool:
     return abs(sum(v * v for v in values) - 1.0) < 1e-2
-
-
-def _describe_states(reader: PoseReader, kind: str, files: list[Path], options: dict[str, Any]) -> Recording:
-    log = reader(files, TrackOptions(**options))
-    tables = {"states": log.states, "positions": log.positions, "depths": log.depths}
-    held = {name: table for name, table in tables.items() if table is not None and len(table)}
-    return Recording(kind=kind, report=log.report, tables=held)
 
 
 def _anpp_share(head: bytes, size: int) -> float:
@@ -265,17 +247,13 @@ def _is_smrmsg(head: bytes, size: int) -> float:
     return 0.0
 
 
-def _describe_smrmsg(kind: str, files: list[Path], options: dict[str, Any]) -> Recording:
+def _describe_smrmsg(kind: str, files: list[Path], options: dict[str, Any]) -> PositionLog:
     size = files[0].stat().st_size
     details = {"records": f"{size // _SMRMSG_RECORD:,}", "use": "logs.smrmsg, beside its SBET"}
-    report = CalibrationReport(
-        stream="smrmsg",
-        format="standard deviations of an SBET",
-        files=[str(files[0])],
-        bytes_read=size,
-        details=details,
+    report = CalibrationReport.of(
+        "smrmsg", "standard deviations of an SBET", files[:1], bytes_read=size, details=details
     )
-    return Recording(kind=kind, report=report)
+    return PositionLog(report=report)
 
 
 POSES: Final = (
@@ -308,18 +286,10 @@ POSES: Final = (
         words="Advanced Navigation ANPP log",
         streams=("ins", "depth"),
         matches=_anpp_share,
-        poses=_anpp,
-        describe=partial(_describe_states, _anpp),
+        poses=lambda files, options: read_anpp(files),
     ),
     *(
-        Format(
-            kind=kind,
-            words=words,
-            streams=("ins", "depth"),
-            matches=matches,
-            poses=read_ardupilot,
-            describe=partial(_describe_states, read_ardupilot),
-        )
+        Format(kind=kind, words=words, streams=("ins", "depth"), matches=matches, poses=read_ardupilot)
         for kind, words, matches in (
             ("dataflash", "ArduPilot dataflash log", is_dataflash),
             ("mavlink", "MAVLink telemetry", is_telemetry),

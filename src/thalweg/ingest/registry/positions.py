@@ -39,7 +39,7 @@ from thalweg.ingest.recorders import (
     read_ubx,
     ubx_share,
 )
-from thalweg.ingest.registry.base import Format, Recording, find_format, framed_share
+from thalweg.ingest.registry.base import Format, find_format, framed_share
 from thalweg.ingest.registry.converted import CONVERTED
 from thalweg.ingest.registry.lidar import BAG
 from thalweg.ingest.registry.poses import POSES
@@ -77,7 +77,6 @@ def read_receiver(files: list[Path]) -> tuple[pd.DataFrame, IntegrityReport]:
     sbp = [path for path in files if _kind(path) == "sbp"]
     if sbp:
         log = _sbp(sbp, TrackOptions())
-        assert log.positions is not None
         return log.positions, log.report
     report = describe_rinex(files[0])
     report.stream = "gnss"
@@ -98,7 +97,7 @@ def read_depths(files: list[Path], date: dt.date | None = None, topics: Sequence
     InputError : the files hold no depths.
     """
     log = _of_soundings(files[0])(files, TrackOptions(date=date, topics=topics))
-    if log.depths is None or not (log.depths["depth_m"] > 0).any():
+    if not (log.depths["depth_m"] > 0).any():
         told = "".join(f"; {note.rstrip('.')}" for note in log.report.notes)
         raise InputError(
             f"no depths in this recording{told}",
@@ -136,11 +135,10 @@ def soundings_table(path: Path) -> tuple[pd.DataFrame, list[str]] | None:
             )
         return None
     log = read_depths([path])
-    assert log.depths is not None
-    if log.soundings is not None:
+    if len(log.soundings):
         return log.soundings, list(log.report.notes)
-    track = None if log.positions is None else log.positions.dropna(subset=["t_gps_s", "lat_deg"])
-    if track is None or len(track) < 2:
+    track = log.positions.dropna(subset=["t_gps_s", "lat_deg"])
+    if len(track) < 2:
         raise InputError(
             f"{len(log.depths):,} depths and no positions with times beside them",
             where=path,
@@ -210,7 +208,6 @@ def read_positions(
         known = find_format([row for row in POSITIONS if "pos" in row.streams], logs[0]) or known
     if known is not None and known.positions is not None:
         log = known.positions(logs, TrackOptions(date=date, topics=topics))
-        assert log.positions is not None
         positions, report = log.positions, log.report
     elif source == "ppk":
         solution = run_ppk(logs, base or None, nav, PpkOptions.from_sections(ppk, base_position))
@@ -218,10 +215,10 @@ def read_positions(
     elif source in ("ins", "sbet") and states is not None:
         table, _ = read_table(states, INS_STATE)
         positions = positions_from_states(table)
-        report = IntegrityReport(
-            stream="positions",
-            format=f"positions of the {'INS' if source == 'ins' else 'SBET'} states",
-            files=[str(states)],
+        report = IntegrityReport.of(
+            "positions",
+            f"positions of the {'INS' if source == 'ins' else 'SBET'} states",
+            [states],
             time_scale="gps",
             synchronised=bool(positions["t_gps_s"].notna().any()),
             counts={"positions": len(positions)},
@@ -263,7 +260,7 @@ def choose_tracks(files: Sequence[Path]) -> tuple[list[Path], dict[Path, str]]:
             table = known.positions([path], TrackOptions()).positions
         except ThalwegError:
             continue  # which the checks of the campaign say
-        if table is not None and table["t_gps_s"].notna().any():
+        if table["t_gps_s"].notna().any():
             tables[path] = table
     marks = event_marks(list(tables), list(tables.values()))
     left |= {path: f"{n} times of events, interpolated on a track" for path, n in marks.items()}
@@ -319,31 +316,7 @@ def _kind(path: Path) -> str | None:
 def _sbp(files: Sequence[Path], options: TrackOptions) -> PositionLog:
     from thalweg.ingest.sbp import read_sbp
 
-    log = read_sbp(files)
-    return PositionLog(positions=log.positions, report=log.report)
-
-
-def _pos(files: Sequence[Path], options: TrackOptions) -> PositionLog:
-    log = read_pos(files)
-    return PositionLog(positions=log.positions, report=log.report)
-
-
-def _gpx(files: Sequence[Path], options: TrackOptions) -> PositionLog:
-    return read_gpx(files)
-
-
-def _nmea(files: Sequence[Path], options: TrackOptions) -> PositionLog:
-    log = read_nmea(files, date=options.date)
-    return PositionLog(positions=log.positions, depths=log.depths, report=log.report)
-
-
-def _describe(kind: str, files: list[Path], options: dict[str, Any]) -> Recording:
-    reader = next(row.positions for row in POSITIONS if row.kind == kind)
-    assert reader is not None
-    log = reader(files, TrackOptions(**options))
-    tables = {"positions": log.positions, "depths": log.depths}
-    held = {name: table for name, table in tables.items() if table is not None}
-    return Recording(kind=kind, report=log.report, tables=held)
+    return read_sbp(files)
 
 
 def _streams_of_sounder(reader: PositionReader, path: Path) -> dict[str, Sequence[tuple[str, ...]]]:
@@ -362,11 +335,7 @@ def _streams_of_ubx(path: Path) -> dict[str, Sequence[tuple[str, ...]]]:
     """A log of raw observations alone is for PPK; depths are those of NMEA between."""
     log = read_ubx([path], TrackOptions())
     own = "pos" if log.report.counts.get("positions") else "rover"
-    return dict.fromkeys((own, "depth") if log.depths is not None and len(log.depths) else (own,), ())
-
-
-def _describe_rinex(kind: str, files: list[Path], options: dict[str, Any]) -> Recording:
-    return Recording(kind=kind, report=describe_rinex(files[0]))
+    return dict.fromkeys((own, "depth") if len(log.depths) else (own,), ())
 
 
 def _is_rinex(head: bytes, size: int) -> bool:
@@ -399,7 +368,6 @@ POSITIONS: Final = (
         holds=_streams_of_ubx,
         matches=ubx_share,
         positions=read_ubx,
-        describe=_describe,
     ),
     *(
         Format(
@@ -410,7 +378,6 @@ POSITIONS: Final = (
             use="soundings with places and without times, for `thalweg bed`",
             matches=matches,
             positions=reader,
-            describe=_describe,
         )
         for kind, words, matches, reader in (
             ("lowrance", "Lowrance SL2 or SL3 log", is_lowrance, read_lowrance),
@@ -420,9 +387,7 @@ POSITIONS: Final = (
         )
     ),
     *(
-        Format(
-            kind=kind, words=words, streams=(stream,), matches=matches, positions=reader, describe=_describe
-        )
+        Format(kind=kind, words=words, streams=(stream,), matches=matches, positions=reader)
         for kind, words, stream, matches, reader in (
             ("gopro", "GoPro video (GPMF)", "pos", is_gopro, read_gopro),
             ("track_table", "table of positions with times", "pos", is_track_table, read_track_table),
@@ -434,15 +399,14 @@ POSITIONS: Final = (
         words="RINEX file",
         streams=("rover", "base", "nav"),
         matches=_is_rinex,
-        describe=_describe_rinex,
+        describe=lambda kind, files, options: PositionLog(report=describe_rinex(files[0])),
     ),
     Format(
         kind="pos",
         words="RTKLIB .pos solution",
         streams=("pos",),
         matches=_is_pos,
-        positions=_pos,
-        describe=_describe,
+        positions=lambda files, options: read_pos(files),
     ),
     Format(
         kind="nmea",
@@ -450,25 +414,16 @@ POSITIONS: Final = (
         streams=("depth", "pos"),
         holds=_streams_of_nmea,
         matches=_is_nmea,
-        positions=_nmea,
-        describe=_describe,
+        positions=lambda files, options: read_nmea(files, options.date),
     ),
     Format(
         kind="gpx",
         words="track (GPX)",
         streams=("pos", "depth"),
         matches=lambda head, size: b"<gpx" in head,
-        positions=_gpx,
-        describe=_describe,
+        positions=lambda files, options: read_gpx(files),
     ),
-    Format(
-        kind="sbp",
-        words="Swift SBP log",
-        streams=("rover", "base"),
-        matches=_sbp_share,
-        positions=_sbp,
-        describe=_describe,
-    ),
+    Format(kind="sbp", words="Swift SBP log", streams=("rover", "base"), matches=_sbp_share, positions=_sbp),
 )
 
 _WITH_DEPTHS: Final = tuple(row for row in (*POSITIONS, *POSES) if "depth" in row.streams)

@@ -1,2 +1,2 @@
-from .messages import find_messages as find_messages
-from .reader import read_sbp as read_sbp
+from .messages import SbpRecords as SbpRecords, collect as collect, find_messages as find_messages
+from .reader import base_positions as base_positions, read_sbp as read_sbp

@@ -8,6 +8,7 @@ type to payload, all little endian (Swift Navigation, SBP specification, "Messag
 type 0.
 """
 
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,8 +16,16 @@ from typing import Any, Final
 
 import numpy as np
 
-from thalweg.core import AnyArray, ArrayB, ArrayI, ArrayU8
-from thalweg.ingest.framing import CHUNK_BYTES, PacketBlock, StreamTally, find_in, find_sbp, read_packets
+from thalweg.core import ArrayU8
+from thalweg.ingest.framing import (
+    CHUNK_BYTES,
+    LogRecords,
+    PacketBlock,
+    StreamTally,
+    find_in,
+    find_sbp,
+    read_packets,
+)
 
 GPS_TIME, GPS_TIME_DEP_A, GPS_TIME_GNSS, UTC_TIME = 0x0102, 0x0100, 0x0104, 0x0103
 POS_LLH, POS_LLH_DEP_A, POS_LLH_GNSS = 0x020A, 0x0201, 0x022A
@@ -117,56 +126,22 @@ def find_messages(buf: ArrayU8, tally: StreamTally | None = None) -> PacketBlock
 CURE = "Give files as the receiver logs them (.sbp, .bin), not the JSON of Swift Console"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Messages:
-    """Messages of one type.
-
-    Attributes
-    ----------
-    fields : (n,) structured array.
-    number : (n,) number of the message in the log, from 0.
-    sender : (n,) who sent it; 0 relays the base.
-    size : (n,) bytes of the payload.
-    """
-
-    fields: AnyArray
-    number: ArrayI
-    sender: ArrayI
-    size: ArrayI
-
-    def take(self, keep: ArrayB) -> "Messages":
-        """Some of the messages."""
-        return Messages(
-            fields=self.fields[keep], number=self.number[keep], sender=self.sender[keep], size=self.size[keep]
-        )
-
-
 @dataclass(slots=True, kw_only=True)
-class SbpRecords:
-    """All decoded messages of a log, and how many of which type and sender there were."""
+class SbpRecords(LogRecords):
+    """All decoded messages of a log."""
 
-    tally: StreamTally = field(default_factory=StreamTally)
-    by_type: dict[int, Messages] = field(default_factory=dict)
-    counts: dict[tuple[int, int], int] = field(default_factory=dict)
-    wrong_size: dict[int, int] = field(default_factory=dict)
-    signals: dict[tuple[int, int], int] = field(default_factory=dict)
+    layouts: Mapping[int, np.dtype[Any]] = field(default_factory=lambda: LAYOUTS)
+    tails: Mapping[int, int] = field(default_factory=lambda: {OBS: OBS_SIGNAL_BYTES})
+    signals: Counter[tuple[int, int]] = field(default_factory=Counter)
     """Observed signals by (sender, code)."""
 
-    def of(self, kind: int, sender: int | None = None) -> Messages:
-        """Messages of a type (of one sender), maybe none."""
-        none = np.empty(0, dtype=np.int64)
-        found = self.by_type.get(kind) or Messages(
-            fields=np.empty(0, dtype=LAYOUTS[kind]), number=none, sender=none, size=none
-        )
-        return found if sender is None else found.take(found.sender == sender)
-
-    def senders(self, kinds: Iterable[int]) -> dict[int, int]:
+    def senders(self, kinds: Iterable[int]) -> Counter[int]:
         """Senders of some types other than 0, and how many messages each sent."""
         wanted = set(kinds)
-        out: dict[int, int] = {}
+        out: Counter[int] = Counter()
         for (kind, sender), n in self.counts.items():
             if kind in wanted and sender:
-                out[sender] = out.get(sender, 0) + n
+                out[sender] += n
         return out
 
 
@@ -178,60 +153,22 @@ def collect(files: Sequence[Path], chunk_bytes: int = CHUNK_BYTES) -> SbpRecords
     InputError : no files, a file that cannot be read, is no SBP log, or all files are empty.
     """
     out = SbpRecords()
-    parts: dict[int, list[Messages]] = {}
     for block in read_packets(
         files, find_sbp, out.tally, what="SBP message", cure=CURE, chunk_bytes=chunk_bytes
     ):
-        both = block.kind.astype(np.int64) << 16 | block.sender
-        for value, n in zip(*np.unique(both, return_counts=True), strict=True):
-            key = (int(value) >> 16, int(value) & 0xFFFF)
-            out.counts[key] = out.counts.get(key, 0) + int(n)
-        for kind in LAYOUTS:
-            _decode(block, kind, out, parts)
-    for kind, pieces in parts.items():
-        out.by_type[kind] = Messages(
-            fields=np.concatenate([p.fields for p in pieces]),
-            number=np.concatenate([p.number for p in pieces]),
-            sender=np.concatenate([p.sender for p in pieces]),
-            size=np.concatenate([p.size for p in pieces]),
-        )
+        out.feed(block)
+        _count_signals(block, out.signals)
     return out
 
 
-def _decode(block: PacketBlock, kind: int, out: SbpRecords, parts: dict[int, list[Messages]]) -> None:
-    rows = np.flatnonzero(block.kind == kind)
-    if not rows.size:
-        return
-    size = LAYOUTS[kind].itemsize
-    if kind == OBS:
-        body = block.length[rows] - size
-        good = (body >= 0) & (body % OBS_SIGNAL_BYTES == 0)
-    else:
-        good = block.length[rows] == size
-    if not good.all():
-        out.wrong_size[kind] = out.wrong_size.get(kind, 0) + int((~good).sum())
-        rows = rows[good]
-    if not rows.size:
-        return
-    if kind == OBS:
-        _count_signals(block, rows, out)
-    parts.setdefault(kind, []).append(
-        Messages(
-            fields=block.payloads(rows, size).view(LAYOUTS[kind])[:, 0],
-            number=block.first + rows,
-            sender=block.sender[rows].astype(np.int64),
-            size=block.length[rows],
-        )
-    )
-
-
-def _count_signals(block: PacketBlock, rows: ArrayI, out: SbpRecords) -> None:
+def _count_signals(block: PacketBlock, signals: Counter[tuple[int, int]]) -> None:
     head = LAYOUTS[OBS].itemsize
-    n = (block.length[rows] - head) // OBS_SIGNAL_BYTES
+    beyond = block.length - head
+    rows = np.flatnonzero((block.kind == OBS) & (beyond >= 0) & (beyond % OBS_SIGNAL_BYTES == 0))
+    n = beyond[rows] // OBS_SIGNAL_BYTES
     message = np.repeat(rows, n)
     inside = np.arange(message.size) - np.repeat(np.cumsum(n) - n, n)
     last_byte = block.offset[message] + head + (inside + 1) * OBS_SIGNAL_BYTES - 1
     both = block.sender[message].astype(np.int64) << 8 | block.buf[last_byte]
     for value, count in zip(*np.unique(both, return_counts=True), strict=True):
-        key = (int(value) >> 8, int(value) & 0xFF)
-        out.signals[key] = out.signals.get(key, 0) + int(count)
+        signals[int(value) >> 8, int(value) & 0xFF] += int(count)

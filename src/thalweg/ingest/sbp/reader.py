@@ -31,10 +31,10 @@ from thalweg.core import (
     rotation_ecef_enu,
     utc_text_from_unix,
 )
-from thalweg.ingest import GNSS_POSITION, IntegrityReport
-from thalweg.ingest.framing import CHUNK_BYTES
+from thalweg.ingest import GNSS_POSITION, IntegrityReport, PositionLog
+from thalweg.ingest.framing import CHUNK_BYTES, Records
 from thalweg.ingest.sbp import messages as sm
-from thalweg.ingest.sbp.messages import Messages, SbpRecords, collect
+from thalweg.ingest.sbp.messages import SbpRecords, collect
 
 # ---------------------------------------------------------------- GPS time of SBP messages: most carry the
 # time of the week only
@@ -69,7 +69,7 @@ class WeekTrack:
         """Index of the last entry before each message, of the first one where there is none before."""
         return np.maximum(np.searchsorted(self.number, number, side="right").astype(np.int64) - 1, 0)
 
-    def times(self, messages: Messages) -> ArrayF:
+    def times(self, messages: Records) -> ArrayF:
         """Adjusted GPS time of messages with a field ``tow`` in ms; NaN without week or with a false tow.
 
         The week is that of the entry before (of the first entry for messages ahead of it). A tow that is
@@ -86,7 +86,7 @@ class WeekTrack:
         return np.where(tow < _WEEK_MS, t, np.nan)
 
 
-def possible_week(messages: Messages) -> ArrayB:
+def possible_week(messages: Records) -> ArrayB:
     """True where a message with week and tow can be a time: power-up sends week 0."""
     return np.asarray((messages.fields["wn"] > 0) & (messages.fields["tow"] < _WEEK_MS))
 
@@ -193,7 +193,7 @@ def positions_table(
     return frame_of(GNSS_POSITION, dict(table)), used
 
 
-def _positions_of(messages: Messages, kind: int, track: WeekTrack, lost: Counter[str]) -> pd.DataFrame:
+def _positions_of(messages: Records, kind: int, track: WeekTrack, lost: Counter[str]) -> pd.DataFrame:
     """Columns of one message type, with the number of the message."""
     names = sm.FIX_DEP_A if kind in sm.DEP_A else sm.FIX
     words = names[messages.fields["flags"] & 7]
@@ -211,7 +211,7 @@ def _positions_of(messages: Messages, kind: int, track: WeekTrack, lost: Counter
     return pd.DataFrame({**dict.fromkeys(GNSS_POSITION.names, np.nan), **values})[possible]
 
 
-def _geodetic(m: Messages, kind: int) -> dict[str, Any]:
+def _geodetic(m: Records, kind: int) -> dict[str, Any]:
     """Latitude, longitude, height, sigmas and covariances in east-north-up."""
     f = m.fields
     if kind in _ECEF_KINDS:
@@ -348,8 +348,7 @@ def _messages(report: IntegrityReport, records: SbpRecords) -> None:
         ("mag_raw", by_type[sm.MAG_RAW]),
         ("ephemerides", ephemerides),
     ):
-        if n:
-            report.count(name, n)
+        report.count_some(name, n)
     if events := by_type[sm.EVENT]:
         report.note(f"Not read: {events:,} times of events, such as pulses of a camera (MsgExtEvent).")
     for sender in sorted({s for s, _ in records.signals}):
@@ -383,26 +382,8 @@ def _utc(report: IntegrityReport, offset_s: ArrayF, unix_s: ArrayF) -> None:
 # ---------------------------------------------------------------- reader
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SbpLog:
-    """What an SBP log holds.
-
-    Attributes
-    ----------
-    positions : table kind ``gnss_position``: the receiver's own solution, epochs with a fix.
-    base_ecef_m : (3,) median of the base positions that the log states, earth-centred; None if none.
-    message_counts : messages by (type, sender), of any type.
-    report : integrity report, stream ``"gnss"``.
-    """
-
-    positions: pd.DataFrame
-    base_ecef_m: ArrayF | None
-    message_counts: dict[tuple[int, int], int]
-    report: IntegrityReport
-
-
-def read_sbp(files: Sequence[Path], *, chunk_bytes: int = CHUNK_BYTES) -> SbpLog:
-    """Read an SBP log.
+def read_sbp(files: Sequence[Path], *, chunk_bytes: int = CHUNK_BYTES) -> PositionLog:
+    """The receiver's own solution, epochs with a fix.
 
     Parameters
     ----------
@@ -420,13 +401,13 @@ def read_sbp(files: Sequence[Path], *, chunk_bytes: int = CHUNK_BYTES) -> SbpLog
         return _log_of(records)
 
 
-def _log_of(records: SbpRecords) -> SbpLog:
+def _log_of(records: SbpRecords) -> PositionLog:
     sender, others = _rover(records)
     track = build_track(records, sender or None)
     dropped: Counter[str] = Counter()
     positions, kinds = positions_table(records, track, sender, dropped)
     base = base_positions(records)
-    report = IntegrityReport(stream="gnss", format="SBP", files=[])
+    report = IntegrityReport.of("gnss", "SBP", ())
     _clock(report, track, positions)
     records.tally.write(report, "message")
     _messages(report, records)
@@ -455,19 +436,13 @@ def _log_of(records: SbpRecords) -> SbpLog:
         report.count("observation_epochs_base" if who == 0 else f"observation_epochs_{who}", int(n))
     report.lose("positions_impossible", dropped.pop("positions_impossible_dropped", 0))
     for name, n in dropped.items():
-        if n:
-            report.count(name, n)
+        report.count_some(name, n)
     if others:
         report.note(
             f"Positions of sender {sender} are used; those of {', '.join(map(str, sorted(others)))} "
             f"({sum(others.values()):,} messages) are not."
         )
-    return SbpLog(
-        positions=positions,
-        base_ecef_m=np.median(base, axis=0) if len(base) else None,
-        message_counts=dict(sorted(records.counts.items())),
-        report=report,
-    )
+    return PositionLog(positions=positions, report=report)
 
 
 def _rover(records: SbpRecords) -> tuple[int, dict[int, int]]:

@@ -31,7 +31,14 @@ from thalweg.core import (
     require_file,
     rotation_ecef_enu,
 )
-from thalweg.ingest import FIRST_UNIX_S, GNSS_POSITION, LAST_UNIX_S, IntegrityReport, doubtful_date
+from thalweg.ingest import (
+    FIRST_UNIX_S,
+    GNSS_POSITION,
+    LAST_UNIX_S,
+    IntegrityReport,
+    PositionLog,
+    doubtful_date,
+)
 from thalweg.ingest.tracks.sbet import half_turn
 
 # ---------------------------------------------------------------- which columns a RTKLIB .pos file has: read
@@ -179,15 +186,7 @@ _ON_LINE_DEG: Final = 5e-9
 _NEARLY_ALL: Final = 0.9
 
 
-@dataclass(slots=True, kw_only=True)
-class PosLog:
-    """A solution: positions (table kind ``gnss_position``) and the report."""
-
-    positions: pd.DataFrame
-    report: IntegrityReport
-
-
-def read_pos(files: Sequence[Path]) -> PosLog:
+def read_pos(files: Sequence[Path]) -> PositionLog:
     """Read one or several .pos files.
 
     Parameters
@@ -208,9 +207,7 @@ def read_pos(files: Sequence[Path]) -> PosLog:
     """
     if not files:
         raise InputError("no .pos file given", expected="at least one file")
-    report = IntegrityReport(
-        stream="positions", format="RTKLIB .pos", files=[str(f) for f in files], time_scale="gps"
-    )
+    report = IntegrityReport.of("positions", "RTKLIB .pos", files, time_scale="gps")
     report.synchronised = True
     tables = [_read_one(path, report) for path in files]
     marks = event_marks(files, tables)
@@ -241,7 +238,7 @@ def read_pos(files: Sequence[Path]) -> PosLog:
         report.note(doubt)
     for fix, n in positions["fix"].value_counts().items():
         report.count(f"fix_{fix}", int(n))
-    return PosLog(positions=positions, report=report)
+    return PositionLog(positions=positions, report=report)
 
 
 def _refuse_two_solutions(t_gps_s: pd.Series, file: AnyArray, files: Sequence[Path]) -> None:

@@ -19,7 +19,6 @@ velocities are compared with the steps of the positions, and the convention that
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -43,6 +42,7 @@ from thalweg.ingest import (
     NAVIGATION_INITIALISED,
     TIME_SCALES,
     IntegrityReport,
+    PoseLog,
     gps_from_scale,
     tell_time_scale,
     time_scale_words,
@@ -61,17 +61,9 @@ _LAST_TIME_S: Final = 3e9
 """More than any count of seconds that has a date."""
 
 
-@dataclass(slots=True, kw_only=True)
-class SbetLog:
-    """States (table kind ``ins_state``) and the report."""
-
-    states: pd.DataFrame
-    report: IntegrityReport
-
-
 def read_sbet(
-    files: Sequence[Path], gps_week: int | None, smrmsg: Sequence[Path] | None = None, *, utc: bool = False
-) -> SbetLog:
+    files: Sequence[Path], gps_week: int | None, smrmsg: Sequence[Path] = (), *, utc: bool = False
+) -> PoseLog:
     """Read one or several SBET files.
 
     Parameters
@@ -94,13 +86,7 @@ def read_sbet(
     """
     if not files:
         raise InputError("no SBET file given", expected="at least one file")
-    report = IntegrityReport(
-        stream="ins",
-        format="SBET",
-        files=[str(f) for f in files],
-        time_scale="utc" if utc else "gps",
-        synchronised=True,
-    )
+    report = IntegrityReport.of("ins", "SBET", files, time_scale="utc" if utc else "gps", synchronised=True)
     records = _joined(files, _FIELDS, "records", report)
     records = records[_plausible(records, report)]
     if not len(records):
@@ -137,7 +123,7 @@ def read_sbet(
     report.count("records", len(states))
     report.take_times(t, "records")
     report.note("An SBET states no GPS fix and no filter status: those columns are empty.")
-    return SbetLog(states=states, report=report)
+    return PoseLog(states=states, report=report)
 
 
 def _joined(files: Sequence[Path], n_fields: int, what: str, report: IntegrityReport) -> ArrayF:
@@ -305,7 +291,7 @@ def _velocity(records: ArrayF, t: ArrayF, report: IntegrityReport) -> tuple[Arra
 
 
 def _sigmas(
-    files: Sequence[Path] | None, t: ArrayF, week: int, report: IntegrityReport, *, utc: bool
+    files: Sequence[Path], t: ArrayF, week: int, report: IntegrityReport, *, utc: bool
 ) -> dict[str, ArrayF]:
     columns = {
         "sigma_north_m": (1, 1.0),
@@ -327,7 +313,7 @@ def _sigmas(
     where = ", ".join(map(str, files))
     if not len(records):
         raise InputError("no record has possible values", expected="standard deviations", where=where)
-    scratch = IntegrityReport(stream="", format="", files=[])
+    scratch = IntegrityReport.of("", "", ())
     t_sigma = _times(records[:, 0], week, scratch, utc=utc)
     order = np.argsort(t_sigma, kind="stable")
     if t_sigma[order[-1]] < t.min() or t_sigma[order[0]] > t.max():

@@ -120,7 +120,7 @@ def read_text_poses(kind: str, files: Sequence[Path], times: Path | None = None)
     ------
     InputError : a line does not hold the numbers of the format, a rotation is none, or the times do not fit.
     """
-    report = IntegrityReport(stream="ins", format=f"{_NAMES[kind]} poses", files=[str(f) for f in files])
+    report = IntegrityReport.of("ins", f"{_NAMES[kind]} poses", files)
     rows = np.concatenate([_numbers(kind, Path(path), report) for path in files])
     where = ", ".join(map(str, files))
     velocity = None
@@ -419,12 +419,8 @@ def read_inertial_explorer(files: Sequence[Path], options: TrackOptions | None =
     InputError : a column that is needed is missing, a unit is not known, or a line is damaged.
     """
     options = options or TrackOptions()
-    report = IntegrityReport(
-        stream="ins",
-        format="NovAtel Inertial Explorer",
-        files=[str(f) for f in files],
-        time_scale="gps",
-        synchronised=True,
+    report = IntegrityReport.of(
+        "ins", "NovAtel Inertial Explorer", files, time_scale="gps", synchronised=True
     )
     columns = pd.concat([_columns(Path(path), report) for path in files], ignore_index=True)
     where = ", ".join(map(str, files))
@@ -650,9 +646,7 @@ def read_gpx(files: Sequence[Path]) -> PositionLog:
     ------
     InputError : a file is no GPX, or no track point in them has a time.
     """
-    report = IntegrityReport(
-        stream="positions", format="GPX", files=[str(f) for f in files], time_scale="utc", synchronised=True
-    )
+    report = IntegrityReport.of("positions", "GPX", files, time_scale="utc", synchronised=True)
     rows: list[tuple[float, float, float, float, str, int]] = []
     depths: list[tuple[float, float]] = []
     foreign: Counter[str] = Counter()

@@ -607,18 +607,15 @@ def _write_counts(
             report.lose("rmc_with_bad_checksum", n)
         else:
             report.count(name, n)
-    if counters[TWO_RETURNS]:
-        report.count("shots_with_two_returns", int(counters[TWO_RETURNS]))
+    report.count_some("shots_with_two_returns", counters[TWO_RETURNS])
     for name, n in tally.capture.counts.items():
         report.count(name, n)
     for name, n in tally.capture.losses.items():
         report.lose(name, n)
     for event, name in _EVENT_LOSSES.items():
-        if found.events[event]:
-            report.lose(name, found.events[event])
-    for index, name in ((BAD_FLAG, "blocks_with_bad_flag"), (BAD_AZIMUTH, "blocks_with_bad_azimuth")):
-        if counters[index]:
-            report.lose(name, int(counters[index]))
+        report.lose(name, found.events[event])
+    report.lose("blocks_with_bad_flag", counters[BAD_FLAG])
+    report.lose("blocks_with_bad_azimuth", counters[BAD_AZIMUTH])
 
 
 def _write_gaps(report: IntegrityReport, found: Findings, builder: ClockBuilder, clock: LidarClock) -> None:
@@ -767,10 +764,10 @@ def scan_lidar(
     if findings.n_kept == 0:
         raise no_packets(tally.capture, options.data_port, where, findings)
     finished = clock.finish()
-    report = IntegrityReport(
-        stream="lidar",
-        format=f"Velodyne packets, {' + '.join(dict.fromkeys(tally.formats))}",
-        files=[str(p) for p in paths],
+    report = IntegrityReport.of(
+        "lidar",
+        f"Velodyne packets, {' + '.join(dict.fromkeys(tally.formats))}",
+        paths,
         model=model.name,
         bytes_read=tally.capture.bytes_read,
     )

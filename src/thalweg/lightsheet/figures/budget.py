@@ -28,14 +28,13 @@ _LEAST_MM: Final = 84.0
 
 
 @styled
-def depth_budget(lines: pd.DataFrame, *, title: str = "Sigma of the depth", twin: bool = False) -> Figure:
+def depth_budget(lines: pd.DataFrame, *, title: str = "Sigma of the depth") -> Figure:
     """A panel for each cause that has a share, and for the total with and without correlations.
 
     Parameters
     ----------
     lines : columns `COLUMNS`.
     title : first words of the title.
-    twin : true if the digital twin made the data.
 
     Raises
     ------
@@ -50,11 +49,11 @@ def depth_budget(lines: pd.DataFrame, *, title: str = "Sigma of the depth", twin
         raise CoverageError("no cause of errors", expected="a sensor with a covariance")
     places = lines[lines["cause"] == causes[0]].groupby("depth_mm").size()
     head = (
-        f"{title} by cause in {plural(len(depths), 'depth')}, n = {plural(int(places.min()), 'place')} "
+        f"{title} by cause in {plural(len(depths), 'depth')}, n = {plural(places.min(), 'place')} "
         "or more on each line"
     )
     rows = -(-len(causes) // ACROSS)
-    figure = new_figure(max(20.0 + _MM_PER_ROW * rows, _LEAST_MM), head, twin=twin)
+    figure = new_figure(max(20.0 + _MM_PER_ROW * rows, _LEAST_MM), head)
     axes = figure.subplots(rows, ACROSS, sharex=True, squeeze=False)
     along = "y_px" if np.ptp(lines["y_px"]) >= np.ptp(lines["x_px"]) else "x_px"
     for k, (ax, cause) in enumerate(zip(axes.flat, causes, strict=False)):
@@ -113,9 +112,9 @@ def _legend(figure: Figure, axes: Sequence[Axes]) -> None:
     figure.legend(list(found.values()), list(found), loc="outside lower left", ncols=6)
 
 
-def draw_depth_budget(*, budget: Path, title: str, twin: bool) -> Figure:
+def draw_depth_budget(*, budget: Path, title: str) -> Figure:
     """Budget of the depth of a light-sheet sensor -> figure by cause."""
-    return depth_budget(pd.read_csv(budget), title=f"{title}: sigma of the depth", twin=twin)
+    return depth_budget(pd.read_csv(budget), title=f"{title}: sigma of the depth")
 
 
 # ---------------------------------------------------------------- simpler models of the sheet

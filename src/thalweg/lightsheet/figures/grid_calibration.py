@@ -16,7 +16,6 @@ from thalweg.lightsheet.figures.views import (
     DEPTH_STYLES,
     GLASS_COLOUR,
     LIGHT_COLOUR,
-    Look,
     Space,
     beam_paths,
     dots,
@@ -43,7 +42,6 @@ def grid_calibration(
     pairs: pd.DataFrame,
     *,
     title: str = "Calibration of the light sheet",
-    twin: bool = False,
 ) -> Figure:
     """The image with the points of each level and the pairs of ends, the rays in space, and the residuals.
 
@@ -54,7 +52,6 @@ def grid_calibration(
     residuals : line points, columns `RESIDUALS`.
     pairs : ends on one sub-beam, columns `PAIRS`.
     title : first words of the title.
-    twin : true if the digital twin made the image.
 
     Raises
     ------
@@ -71,7 +68,7 @@ def grid_calibration(
         f"{title}: n = {count(len(used))} line points and {plural(len(kept), 'pair')} of ends, "
         f"{plural(left_out, 'observation')} rejected"
     )
-    figure = new_figure(146.0, head, twin=twin)
+    figure = new_figure(146.0, head)
     grid = figure.add_gridspec(2, 2, height_ratios=[1.75, 1.0])
     levels = list(dict.fromkeys(residuals["level"].astype(str)))
     _image(figure.add_subplot(grid[0, 0]), image, residuals, kept, levels)
@@ -102,17 +99,30 @@ def _image(
         colour, _, marker = DEPTH_STYLES[k]
         mine = residuals[used & (residuals["level"].astype(str) == level)]
         shown = mine.iloc[:: max(1, -(-len(mine) // _MOST_POINTS))]
-        look: Look = {
-            "ms": 2.2,
-            "label": f"{level}: {count(len(mine))} points",
-            "gid": f"level {k}",
-            "zorder": 3,
-        }
-        dots(ax, shown["x_px"], shown["y_px"], colour, marker, **look)
+        dots(
+            ax,
+            shown["x_px"],
+            shown["y_px"],
+            colour,
+            marker,
+            ms=2.2,
+            label=f"{level}: {count(len(mine))} points",
+            gid=f"level {k}",
+            zorder=3,
+        )
     out = residuals[~used]
     if len(out):
-        look = {"ms": 5, "label": f"rejected: {len(out)}", "gid": "rejected", "zorder": 4}
-        dots(ax, out["x_px"], out["y_px"], "black", "x", **look)
+        dots(
+            ax,
+            out["x_px"],
+            out["y_px"],
+            "black",
+            "x",
+            ms=5,
+            label=f"rejected: {len(out)}",
+            gid="rejected",
+            zorder=4,
+        )
     ax.set(xlabel="column / px", ylabel="row / px")
     ax.set_title("a: image and observations")
     ax.legend(loc="upper left", bbox_to_anchor=(0.0, -0.2), ncols=2, borderaxespad=0.0)
@@ -120,7 +130,7 @@ def _image(
 
 def _space(space: Space, sensor: Sensor, pairs: pd.DataFrame, levels: Sequence[str]) -> None:
     """Sub-beams of the pairs and the image rays to their ends."""
-    xy = [pairs[[f"{end}_x_px", f"{end}_y_px"]].to_numpy(np.float64) for end in ("upper", "lower")]
+    xy = [pairs[[f"{end}_x_px", f"{end}_y_px"]].to_numpy() for end in ("upper", "lower")]
     ends = [intersect(sensor, each) for each in xy]
     good = ends[0].ok & ends[1].ok
     fan = 0.5 * (ends[0].fan_angle_rad + ends[1].fan_angle_rad)[good]
@@ -159,8 +169,15 @@ def _residuals(ax: Axes, residuals: pd.DataFrame, levels: Sequence[str]) -> None
         colour, _, marker = DEPTH_STYLES[k]
         mine = residuals[used & (residuals["level"].astype(str) == level)]
         rms = root_mean_square(mine["residual_px"]) if len(mine) else float("nan")
-        look: Look = {"label": f"{level}: {rms:.3f} px", "gid": f"residuals {k}"}
-        dots(ax, mine[along], mine["residual_px"], colour, marker, **look)
+        dots(
+            ax,
+            mine[along],
+            mine["residual_px"],
+            colour,
+            marker,
+            label=f"{level}: {rms:.3f} px",
+            gid=f"residuals {k}",
+        )
     out = residuals[~used]
     limit = 1.3 * float(residuals.loc[used, "residual_px"].abs().quantile(0.998)) + 1e-6
     shown = out["residual_px"].clip(-limit, limit)
@@ -174,14 +191,7 @@ def _residuals(ax: Axes, residuals: pd.DataFrame, levels: Sequence[str]) -> None
 
 
 def draw_grid_calibration(
-    *,
-    sensor: Path,
-    images: list[Path],
-    line_points: Path,
-    residuals: Path,
-    pairs: Path,
-    title: str,
-    twin: bool,
+    *, sensor: Path, images: list[Path], line_points: Path, residuals: Path, pairs: Path, title: str
 ) -> Figure:
     """Image, residuals and pairs of a calibration of the light sheet -> figure."""
     return grid_calibration(
@@ -190,5 +200,4 @@ def draw_grid_calibration(
         pd.read_csv(residuals),
         pd.read_csv(pairs),
         title=title,
-        twin=twin,
     )

@@ -18,7 +18,6 @@ from thalweg.figures import BLUE, ORANGE, RED, SKY, VERMILION, count, new_figure
 from thalweg.figures.accuracy import DISTANCE_MAP
 from thalweg.lightsheet.figures.views import (
     LIGHT_MAP,
-    Look,
     dots,
     find_image,
     first_image,
@@ -76,11 +75,7 @@ def measured(image: AnyArray, methods: Sequence[Method] = tuple(METHODS)) -> dic
 
 @styled
 def line_measurement(
-    image: AnyArray,
-    points: Mapping[Method, pd.DataFrame],
-    *,
-    title: str = "Line measurement",
-    twin: bool = False,
+    image: AnyArray, points: Mapping[Method, pd.DataFrame], *, title: str = "Line measurement"
 ) -> Figure:
     """A line with its detail, grey values of three rows, and departures from a smooth line by method.
 
@@ -89,7 +84,6 @@ def line_measurement(
     image : (h, w) mosaic or monochrome, or (h, w, 3), of a line on an even surface.
     points : by method (`METHODS`), columns `COLUMNS`; the last one defines the smooth line.
     title : first words of the title.
-    twin : true if the digital twin made the image.
 
     Raises
     ------
@@ -104,7 +98,7 @@ def line_measurement(
     last = list(tables.values())[-1]
     row, column = ("column", "row") if turned else ("row", "column")
     head = f"{title}: one laser line measured by {len(tables)} methods, n = {count(len(last))} points"
-    figure = new_figure(100.0, head, twin=twin)
+    figure = new_figure(100.0, head)
     detail, profiles, shares = figure.subplots(1, 3)
     middle = float(np.median(last["y_px"]))
     _detail(detail, green, tables, middle)
@@ -124,15 +118,15 @@ def departures_px(table: pd.DataFrame, smooth_of: pd.DataFrame) -> ArrayF:
     table : line points.
     smooth_of : points that define the curve; those more than four NMADs off it are left out.
     """
-    y, x = (smooth_of[name].to_numpy(np.float64) for name in ("y_px", "x_px"))
+    y, x = (smooth_of[name].to_numpy() for name in ("y_px", "x_px"))
     middle, half = 0.5 * (y.min() + y.max()), max(0.5 * float(np.ptp(y)), 1.0)
     keep: ArrayB = np.ones(len(x), dtype=bool)
     for _ in range(3):
         fit = np.polynomial.Polynomial.fit((y[keep] - middle) / half, x[keep], _SMOOTH_DEGREE, domain=[-1, 1])
         e = x - fit((y - middle) / half)
         keep = np.abs(e) <= 4 * NMAD * np.median(np.abs(e)) + 1e-9
-    at = table["y_px"].to_numpy(np.float64)
-    off = table["x_px"].to_numpy(np.float64) - fit((at - middle) / half)
+    at = table["y_px"].to_numpy()
+    off = table["x_px"].to_numpy() - fit((at - middle) / half)
     return np.asarray(np.where((at >= y.min()) & (at <= y.max()), off, np.nan))
 
 
@@ -158,8 +152,18 @@ def _detail(ax: Axes, green: AnyArray, tables: Mapping[Method, pd.DataFrame], mi
     show_green(ax, green[top : top + DETAIL_ROWS, left:right], left=left, top=top)
     for name, table in near.items():
         words, colour, marker, size, face = METHODS[name]
-        look: Look = {"ms": size, "mfc": face, "mew": 0.9, "label": words, "gid": f"{name} points"}
-        dots(ax, table["x_px"], table["y_px"], colour, marker, **look)
+        dots(
+            ax,
+            table["x_px"],
+            table["y_px"],
+            colour,
+            marker,
+            ms=size,
+            mfc=face,
+            mew=0.9,
+            label=words,
+            gid=f"{name} points",
+        )
     ax.set_aspect("auto")
 
 
@@ -191,8 +195,16 @@ def _distribution(ax: Axes, off: Mapping[Method, ArrayF]) -> None:
     bins = np.linspace(-largest, largest, 61).tolist()
     for name, e in off.items():
         words, colour, *_ = METHODS[name]
-        look: Look = {"histtype": "step", "lw": 1.3, "density": True, "gid": f"{name} histogram"}
-        ax.hist(e, bins=bins, color=colour, label=f"{words}: {np.nanstd(e):.2f} px", **look)
+        ax.hist(
+            e,
+            bins=bins,
+            color=colour,
+            label=f"{words}: {np.nanstd(e):.2f} px",
+            histtype="step",
+            lw=1.3,
+            density=True,
+            gid=f"{name} histogram",
+        )
     ax.set(xlabel="distance from a smooth line / px", ylabel="density / (1/px)", yscale="log")
     low, high = ax.get_ylim()
     ax.set_ylim(low, high * 200)
@@ -200,19 +212,17 @@ def _distribution(ax: Axes, off: Mapping[Method, ArrayF]) -> None:
     ax.legend(loc="upper left")
 
 
-def draw_line_measurement(*, images: list[Path], line_points: Path, title: str, twin: bool) -> Figure:
+def draw_line_measurement(*, images: list[Path], line_points: Path, title: str) -> Figure:
     """An image of the laser line on a panel -> figure of what each method of measurement reaches."""
     image, _ = first_image(images, line_points)
-    return line_measurement(image, measured(image), title=title, twin=twin)
+    return line_measurement(image, measured(image), title=title)
 
 
 # ---------------------------------------------------------------- matching of one place (P4 Fig. 6)
 
 
 @styled
-def line_patch(
-    image: AnyArray, points: pd.DataFrame, *, title: str = "Line measurement", twin: bool = False
-) -> Figure:
+def line_patch(image: AnyArray, points: pd.DataFrame, *, title: str = "Line measurement") -> Figure:
     """Template of Gaussian rows, the grey values below it, their difference; grey values of all rows.
 
     The place is the point nearest to the middle of the line whose patch lies in the picture.
@@ -222,7 +232,6 @@ def line_patch(
     image : (h, w) mosaic or monochrome, or (h, w, 3).
     points : columns `thalweg.lightsheet.figures.lines.COLUMNS`, by the method ``lsm``.
     title : first words of the title.
-    twin : true if the digital twin made the image.
 
     Raises
     ------
@@ -243,11 +252,11 @@ def line_patch(
         f"{title}: one place of the line by a patch of {SIDE} x {SIDE} pixels, sigma "
         f"{float(point['sigma_px']):.2f} px, n = {SIDE * SIDE} pixels"
     )
-    figure = new_figure(84.0, head, twin=twin)
+    figure = new_figure(84.0, head)
     axes = figure.subplots(1, 3)
     extent = (float(left), float(left + SIDE), float(top + SIDE), float(top))
     across, along = ("row", "column") if turned else ("column", "row")
-    bright = Normalize(0.0, float(max(patch.max(), model.max())))
+    bright = Normalize(0.0, max(patch.max(), model.max()))
     largest = float(np.abs(left_over).max())
     for ax, values, norm, colours, words in (
         (axes[0], model, bright, LIGHT_MAP.reversed(), "a: template, shifted and scaled"),
@@ -280,7 +289,7 @@ def middle_point(points: pd.DataFrame, shape: tuple[int, int]) -> pd.Series:
     ]
     if not len(inside):
         raise CoverageError("no point far enough inside", expected=f"a margin of {margin} pixels")
-    xy = inside[["x_px", "y_px"]].to_numpy(np.float64)
+    xy = inside[["x_px", "y_px"]].to_numpy()
     return inside.iloc[int(np.argmin(np.square(xy - xy.mean(axis=0)).sum(axis=1)))]
 
 
@@ -290,19 +299,17 @@ def gauss_row(off_px: ArrayF, point: pd.Series) -> ArrayF:
     return np.asarray(ground + peak * np.exp(-2.0 * np.square(off_px / width)))
 
 
-def draw_line_patch(*, images: list[Path], line_points: Path, title: str, twin: bool) -> Figure:
+def draw_line_patch(*, images: list[Path], line_points: Path, title: str) -> Figure:
     """An image of the laser line on a panel -> figure of the matching of one place."""
     image, _ = first_image(images, line_points)
-    return line_patch(image, measured(image, ["lsm"])["lsm"], title=title, twin=twin)
+    return line_patch(image, measured(image, ["lsm"])["lsm"], title=title)
 
 
 # ---------------------------------------------------------------- an image with its line (P4 Fig. 16 and 18)
 
 
 @styled
-def sheet_image(
-    image: AnyArray, points: pd.DataFrame, *, title: str = "Laser line", twin: bool = False
-) -> Figure:
+def sheet_image(image: AnyArray, points: pd.DataFrame, *, title: str = "Laser line") -> Figure:
     """The green channel with the measured line by flag, and a detail: where most points are flagged, or else
     where the line bends most.
 
@@ -311,7 +318,6 @@ def sheet_image(
     image : as `thalweg.lightsheet.poses.read_sheet_image` gives it.
     points : columns `POINTS`, of this image.
     title : first words of the title.
-    twin : true if the digital twin made the image.
 
     Raises
     ------
@@ -320,11 +326,11 @@ def sheet_image(
     table, green = need(points, POINTS, "line points"), green_of(image)
     table = table.assign(shown=shown_flag(table["flags"].to_numpy()))
     head = (
-        f"{title}: line in {plural(int(table['piece'].nunique()), 'piece')}, median sigma "
-        f"{table['sigma_px'].median():.2f} px, {count(int((table['flags'] != 0).sum()))} flagged, "
+        f"{title}: line in {plural(table['piece'].nunique(), 'piece')}, median sigma "
+        f"{table['sigma_px'].median():.2f} px, {count((table['flags'] != 0).sum())} flagged, "
         f"n = {count(len(table))} points"
     )
-    figure = new_figure(104.0, head, twin=twin)
+    figure = new_figure(104.0, head)
     left, right = figure.subplots(1, 2)
     h, w = green.shape
     side = min(max(int(DETAIL * max(h, w)), 40), h, w)
@@ -337,13 +343,17 @@ def sheet_image(
         for flag, words, colour, marker in FLAGS:
             mine = table[table["shown"] == flag]
             if len(mine):
-                look: Look = {
-                    "ms": size,
-                    "label": f"{words}: {count(len(mine))}",
-                    "gid": f"flag {flag}",
-                    "zorder": 3,
-                }
-                dots(ax, mine["x_px"], mine["y_px"], colour, marker, **look)
+                dots(
+                    ax,
+                    mine["x_px"],
+                    mine["y_px"],
+                    colour,
+                    marker,
+                    ms=size,
+                    label=f"{words}: {count(len(mine))}",
+                    gid=f"flag {flag}",
+                    zorder=3,
+                )
     right.set_xlim(x0, x0 + side)
     right.set_ylim(y0 + side, y0)
     left.set(title="a: image, green channel", xlabel="column / px", ylabel="row / px")
@@ -362,28 +372,28 @@ def shown_flag(flags: AnyArray) -> AnyArray:
 
 def _middle_of_detail(table: pd.DataFrame, side: int) -> ArrayF:
     """Place (2,) with most flagged points around it; without flags, where neighbours are farthest apart."""
-    flagged = table.loc[table["flags"] != 0, ["x_px", "y_px"]].to_numpy(np.float64)
+    flagged = table.loc[table["flags"] != 0, ["x_px", "y_px"]].to_numpy()
     if len(flagged):
         some = flagged[:: max(1, len(flagged) // 500)]
         near = np.abs(some[:, None] - flagged).max(axis=2) < side / 2
         return np.asarray(some[int(near.sum(axis=1).argmax())])
     order = table.sort_values("y_px" if np.ptp(table["y_px"]) > np.ptp(table["x_px"]) else "x_px")
-    xy = order[["x_px", "y_px"]].to_numpy(np.float64)
+    xy = order[["x_px", "y_px"]].to_numpy()
     step = np.abs(np.diff(xy, axis=0)).sum(axis=1)
     k = int(np.argmax(np.where(step < side / 2, step, 0.0))) if len(step) else 0
     return np.asarray(xy[k : k + 2].mean(axis=0))
 
 
-def draw_line_on_markers(*, images: list[Path], line_points: Path, title: str, twin: bool) -> Figure:
+def draw_line_on_markers(*, images: list[Path], line_points: Path, title: str) -> Figure:
     """An image of the stepped object and its line points -> figure of their flags."""
     image, points = first_image(images, line_points)
-    return sheet_image(image, points, title=title, twin=twin)
+    return sheet_image(image, points, title=title)
 
 
-def draw_sheet_image(*, images: list[Path], line_points: Path, scan: str, title: str, twin: bool) -> Figure:
+def draw_sheet_image(*, images: list[Path], line_points: Path, scan: str, title: str) -> Figure:
     """Images of a scan and their line points -> figure of the middle image with its line."""
     points, _ = read_table(line_points, SERIES_POINTS)
     names = points["file"].unique()
     name = str(names[len(names) // 2])
     title = f"{title}, {scan}"
-    return sheet_image(find_image(images, name), points[points["file"] == name], title=title, twin=twin)
+    return sheet_image(find_image(images, name), points[points["file"] == name], title=title)

@@ -1,6 +1,5 @@
 """The page on the light-sheet sensor, and that on a strip of the bed."""
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,8 +9,8 @@ import numpy as np
 import pandas as pd
 
 from thalweg.accuracy import verdict_of
-from thalweg.core import InputError
-from thalweg.figures import JUDGED, Finding, Page, count, plural
+from thalweg.core import InputError, read_json
+from thalweg.figures import JUDGED, Finding, Page, Pictures, count, plural
 from thalweg.figures.calibration import TWIN_NOTE, with_units
 from thalweg.ingest.registry import with_sigma
 from thalweg.lightsheet.budget import TOTAL, TOTAL_CORRELATED, budget_table
@@ -113,11 +112,7 @@ def read_scans(
             ScanFiles(
                 name=name,
                 tables={path.stem: pd.read_csv(path) for path in mine if path.suffix == ".csv"},
-                facts={
-                    path.stem: json.loads(path.read_text(encoding="utf-8"))
-                    for path in mine
-                    if path.suffix == ".json"
-                },
+                facts={path.stem: read_json(path) for path in mine if path.suffix == ".json"},
                 pictures=[(path, captions.get(kind, _words(kind))) for path, kind in kinds if kind],
             )
         )
@@ -205,21 +200,26 @@ def left_out(scan: ScanFiles) -> pd.DataFrame:
 
 
 def strip_page(
-    counts: Mapping[str, Any], pictures: Sequence[tuple[Path, str]], *, title: str, twin: bool = False
+    counts: Mapping[str, Any],
+    pictures: Pictures,
+    *,
+    captions: Mapping[str, str],
+    title: str = "Strip of the bed",
+    twin: bool = False,
 ) -> Page:
     """The page on a strip of the bed under the boat.
 
     Parameters
     ----------
     counts : ``counts.json`` of the strip: ``lines, merged, images_left_out, times, trajectory``.
-    pictures : PNG files with their captions.
+    pictures, captions : PNG files, and by stem what stands below them.
     title : heading.
     twin : true if the digital twin made the recordings.
     """
     merged, times = counts["merged"], counts.get("times", {})
     words = (
-        f"{plural(int(merged['images']), 'image')} of the bed by the light-sheet sensor under the boat, with "
-        f"{count(int(merged['points']))} georeferenced points (bed.laz)."
+        f"{plural(merged['images'], 'image')} of the bed by the light-sheet sensor under the boat, with "
+        f"{count(merged['points'])} georeferenced points (bed.laz)."
     )
     page = Page(title, words)
     if twin:
@@ -232,22 +232,7 @@ def strip_page(
     ]
     page.section("Rejected observations")
     page.table(pd.DataFrame(rows, columns=["left out", "number"]), "Images, pulses and points (counts.json)")
-    page.section("Figures")
-    for picture, caption in pictures:
-        page.figure(picture, caption)
-    return page
-
-
-def write_strip_page(
-    *, counts: Path, pictures: list[Path], captions: dict[str, str], title: str, twin: bool, page: Path
-) -> None:
-    """The same from files, as the workflow has them; `title`: of the campaign."""
-    strip_page(
-        json.loads(counts.read_text(encoding="utf-8")),
-        [(path, captions[path.stem]) for path in pictures],
-        title=f"Strip of the bed: {title}",
-        twin=twin,
-    ).write(page)
+    return page.pictures(pictures, captions)
 
 
 def _lost_points(counts: Mapping[str, Any]) -> list[tuple[str, int]]:

@@ -29,7 +29,6 @@ def panel_distances(
     panels: pd.DataFrame,
     *,
     title: str = "Panel in known depths",
-    twin: bool = False,
 ) -> Figure:
     """Detail of one image with lines of reference depths, distances by place, means beside published ones.
 
@@ -40,7 +39,6 @@ def panel_distances(
     points : columns `POINTS`.
     panels : columns `PANELS`; at most six are drawn one by one.
     title : first words of the title.
-    twin : true if the digital twin made the images.
 
     Raises
     ------
@@ -55,7 +53,7 @@ def panel_distances(
         f"n = {count(len(points))} points in {plural(len(panels), 'depth')}"
     )
     rows = max(len(shown), 2)  # the detail needs the height of two
-    figure = new_figure(34.0 + _MM_PER_PANEL * rows, head, twin=twin)
+    figure = new_figure(34.0 + _MM_PER_PANEL * rows, head)
     grid = figure.add_gridspec(rows, 2, width_ratios=[1.0, 1.7])
     _detail(figure.add_subplot(grid[:, 0]), sensor, image, points, shown)
     along = "x_mm" if np.ptp(points["x_mm"]) >= np.ptp(points["y_mm"]) else "y_mm"
@@ -113,8 +111,19 @@ def _detail(ax: Axes, sensor: Sensor, image: AnyArray, points: pd.DataFrame, sho
         look: Look = {"lw": 1.6, "gid": f"reference {line.depth_mm:g}", "zorder": 3}
         look |= {"label": f"{line.depth_mm:.1f} mm"} if near.any() else {}
         ax.plot(x, y, color=colour, ls=style, **look)
-    look = {"ms": 2.6, "mfc": "white", "mew": 0.4, "label": "measured", "gid": "measured", "zorder": 4}
-    dots(ax, mine["x_px"], mine["y_px"], "black", "o", **look)
+    dots(
+        ax,
+        mine["x_px"],
+        mine["y_px"],
+        "black",
+        "o",
+        ms=2.6,
+        mfc="white",
+        mew=0.4,
+        label="measured",
+        gid="measured",
+        zorder=4,
+    )
     ax.set_xlim(left, left + green.shape[1])
     ax.set_ylim(top + green.shape[0], top)
     ax.set(xlabel="column / px", ylabel="row / px")
@@ -133,18 +142,25 @@ def _distances(ax: Axes, mine: pd.DataFrame, row: pd.Series, along: str, k: int,
     ax.set_ylim(-limit, 1.9 * limit)
     words = "no points"
     if row["n"]:
-        words = f"{signed(row['mean_mm'])} ± {row['std_mm']:.3f} mm, n = {count(int(row['n']))}"
+        words = f"{signed(row['mean_mm'])} ± {row['std_mm']:.3f} mm, n = {count(row['n'])}"
     if np.isfinite(row["published_std_mm"]):
         words += f" (P3: {row['published_mean_mm']:.2f} ± {row['published_std_mm']:.2f} mm)"
-    look: Look = {"transform": ax.transAxes, "va": "top", "fontsize": 7, "path_effects": HALO}
-    ax.text(0.01, 0.96, f"{row['depth_mm']:.1f} mm: {words}", **look)
+    ax.text(
+        0.01,
+        0.96,
+        f"{row['depth_mm']:.1f} mm: {words}",
+        transform=ax.transAxes,
+        va="top",
+        fontsize=7,
+        path_effects=HALO,
+    )
     ax.grid()
 
 
 def draw_panel_distances(
-    *, sensor: Path, images: list[Path], points: Path, panels: Path, title: str, twin: bool
+    *, sensor: Path, images: list[Path], points: Path, panels: Path, title: str
 ) -> Figure:
     """Points on a panel in known depths -> figure of their distances, beside published ones."""
     rows = pd.read_csv(panels)
     image = find_image(images, str(first_with_points(rows)["file"]))
-    return panel_distances(read_sensor(sensor), image, read_parquet(points), rows, title=title, twin=twin)
+    return panel_distances(read_sensor(sensor), image, read_parquet(points), rows, title=title)

@@ -1,6 +1,5 @@
 """A scan against its reference: distances, and the middle line (P4 Fig. 19 and 20)."""
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
@@ -12,10 +11,10 @@ from matplotlib.collections import PathCollection
 from matplotlib.figure import Figure
 from scipy.stats import norm
 
-from thalweg.core import NMAD, ArrayF, read_table, robust_sigma
+from thalweg.core import NMAD, ArrayF, read_json, read_table, robust_sigma
 from thalweg.figures import BLUE, PURPLE, VERMILION, count, new_figure, plural, styled
 from thalweg.figures.accuracy import DISTANCE_MAP
-from thalweg.lightsheet.figures.views import Look, dots, need, spots
+from thalweg.lightsheet.figures.views import dots, need, spots
 from thalweg.lightsheet.scanning import SCAN_DISTANCES
 
 POINTS: Final = ("file", "x_m", "y_m", "z_m", "distance_mm", "used", "reason")
@@ -37,9 +36,7 @@ _GAP: Final = 8.0
 
 
 @styled
-def scan_distances(
-    points: pd.DataFrame, *, reference: str = "mesh", title: str = "Scan", twin: bool = False
-) -> Figure:
+def scan_distances(points: pd.DataFrame, *, reference: str = "mesh", title: str = "Scan") -> Figure:
     """Plan and side view of a scan coloured by distance; histogram with a normal and a robust fit.
 
     Parameters
@@ -47,7 +44,6 @@ def scan_distances(
     points : columns `POINTS`; ``used`` says which have a counterpart on a line with a good pose.
     reference : of what the distances are: ``mesh`` or ``planes``.
     title : first words of the title.
-    twin : true if the digital twin made the recordings.
 
     Raises
     ------
@@ -55,12 +51,12 @@ def scan_distances(
     """
     need(points, POINTS, "points of the scan")
     used = need(points[points["used"]], POINTS, "points on the reference")
-    d = used["distance_mm"].to_numpy(np.float64)
+    d = used["distance_mm"].to_numpy()
     head = (
         f"{title}: distance from the {reference} {d.mean():+.2f} ± {d.std(ddof=1):.2f} mm, "
-        f"n = {count(len(d))} points of {plural(int(used['file'].nunique()), 'line')}"
+        f"n = {count(len(d))} points of {plural(used['file'].nunique(), 'line')}"
     )
-    figure = new_figure(160.0, head, twin=twin)
+    figure = new_figure(160.0, head)
     limit = max(3.0 * NMAD * float(np.median(np.abs(d - np.median(d)))), 0.1)
     top, side, below = figure.subplots(3, 1, height_ratios=[1.25, 1.0, 0.9])
     shades = [_view(ax, points, used, other, limit) for ax, other in ((top, "y_m"), (side, "z_m"))]
@@ -76,7 +72,7 @@ def scan_distances(
     }
     most = _histogram(below, d, edges, fits)
     below.axvline(0.0, color="black", lw=0.7)
-    below.set_title(f"c: histogram, {count(int((np.abs(d) > 2 * limit).sum()))} points beyond the axis")
+    below.set_title(f"c: histogram, {count((np.abs(d) > 2 * limit).sum())} points beyond the axis")
     below.set(xlabel=words, ylabel=f"points per {edges[1] - edges[0]:.2g} mm", xlim=(edges[0], edges[-1]))
     below.set_ylim(0.0, 1.45 * max(most, 1.0))
     below.legend(loc="upper right", fontsize=6.5)
@@ -90,8 +86,18 @@ def _view(ax: Axes, points: pd.DataFrame, used: pd.DataFrame, other: str, limit:
         mine = points[points["reason"] == reason]
         if len(mine):
             dots(ax, 1e3 * mine["x_m"], 1e3 * mine[other], colour, ms=0.8, label=words, gid=reason, zorder=1)
-    look: Look = {"s": 1.6, "cmap": DISTANCE_MAP, "vmin": -limit, "vmax": limit, "gid": "points", "zorder": 2}
-    shades = spots(ax, 1e3 * used["x_m"], 1e3 * used[other], used["distance_mm"], **look)
+    shades = spots(
+        ax,
+        1e3 * used["x_m"],
+        1e3 * used[other],
+        used["distance_mm"],
+        s=1.6,
+        cmap=DISTANCE_MAP,
+        vmin=-limit,
+        vmax=limit,
+        gid="points",
+        zorder=2,
+    )
     ax.set_aspect("equal", adjustable="datalim")
     ax.grid()
     return shades
@@ -120,19 +126,18 @@ def _histogram(
     return float(n.max())
 
 
-def draw_scan_distances(*, distances: Path, facts: Path, scan: str, title: str, twin: bool) -> Figure:
+def draw_scan_distances(*, distances: Path, facts: Path, scan: str, title: str) -> Figure:
     """Distances of a scan -> figure of the coloured scan and their histogram."""
     return scan_distances(
         read_table(distances, SCAN_DISTANCES)[0],
-        reference=json.loads(facts.read_text())["reference"],
+        reference=read_json(facts)["reference"],
         title=f"{title}, {scan}",
-        twin=twin,
     )
 
 
 @styled
 def scan_profile(
-    points: pd.DataFrame, image: str, *, reference: str = "mesh", title: str = "Profile", twin: bool = False
+    points: pd.DataFrame, image: str, *, reference: str = "mesh", title: str = "Profile"
 ) -> Figure:
     """Points along the object; distances along it with their predicted sigma; histogram.
 
@@ -142,7 +147,6 @@ def scan_profile(
     image : name of the image of the line.
     reference : of what the distances are: ``mesh`` or ``planes``.
     title : first words of the title.
-    twin : true if the digital twin made the recordings.
 
     Raises
     ------
@@ -151,20 +155,20 @@ def scan_profile(
     line = need(points, PROFILE_POINTS, "points of the scan")
     line = line[line["file"] == image]
     used = need(line[line["used"]], PROFILE_POINTS, f"points of {image} on the reference").sort_values("x_m")
-    d, sigma = (used[name].to_numpy(np.float64) for name in ("distance_mm", "sigma_mm"))
+    d, sigma = (used[name].to_numpy() for name in ("distance_mm", "sigma_mm"))
     std = float(d.std(ddof=1)) if len(d) > 1 else 0.0
     head = (
         f"{title}: middle line {d.mean():+.3f} ± {std:.3f} mm from the "
         f"{reference}, {100 * (np.abs(d) <= sigma).mean():.0f} % within one predicted sigma, "
         f"n = {count(len(d))} points"
     )
-    figure = new_figure(128.0, head, twin=twin)
+    figure = new_figure(128.0, head)
     grid = figure.add_gridspec(2, 2, width_ratios=[2.0, 1.0])
     top, along = figure.add_subplot(grid[0, :]), figure.add_subplot(grid[1, 0])
     for keep, colour, words in ((~line["used"], "0.65", "not on the object"), (line["used"], BLUE, "used")):
         if keep.any():
             x, z = (_MM_PER_M * line[name][keep] for name in ("x_m", "z_m"))
-            dots(top, x, z, colour, gid=words, label=f"{words}: {count(int(keep.sum()))}")
+            dots(top, x, z, colour, gid=words, label=f"{words}: {count(keep.sum())}")
     top.set_aspect("equal", adjustable="datalim")
     top.set(title="a: points of the line, in the frame of the reference", xlabel="x / mm", ylabel="z / mm")
     top.legend(loc="upper right", markerscale=3)
@@ -181,8 +185,8 @@ def scan_profile(
 
 
 def _along(ax: Axes, used: pd.DataFrame, limit: float) -> None:
-    x = _MM_PER_M * used["x_m"].to_numpy(np.float64)
-    d = used["distance_mm"].to_numpy(np.float64)
+    x = _MM_PER_M * used["x_m"].to_numpy()
+    d = used["distance_mm"].to_numpy()
     # no band across a gap of the line
     step = np.diff(x, prepend=x[0])
     gaps = step > _GAP * max(float(np.median(step[1:])), 1e-9) if len(x) > 2 else x < x[0]
@@ -190,7 +194,7 @@ def _along(ax: Axes, used: pd.DataFrame, limit: float) -> None:
         ("sigma_mm", PURPLE, "predicted sigma"),
         ("sigma_own_mm", "0.35", "of it the line's measurement"),
     ):
-        sigma = np.where(gaps, np.nan, used[name].to_numpy(np.float64))
+        sigma = np.where(gaps, np.nan, used[name].to_numpy())
         ax.fill_between(x, -sigma, sigma, color=colour, alpha=0.35, lw=0, label=words, gid=name)
     dots(ax, x, d, BLUE, gid="distances", zorder=3)
     ax.axhline(0.0, color="black", lw=0.7)
@@ -210,14 +214,11 @@ def classes(n: int) -> int:
     return int(np.clip(round(np.sqrt(n)), 5, _MOST_CLASSES))
 
 
-def draw_scan_profile(
-    *, distances: Path, facts: Path, profile: Path, scan: str, title: str, twin: bool
-) -> Figure:
+def draw_scan_profile(*, distances: Path, facts: Path, profile: Path, scan: str, title: str) -> Figure:
     """Distances of a scan -> figure of its middle line."""
     return scan_profile(
         read_table(distances, SCAN_DISTANCES)[0],
-        json.loads(profile.read_text(encoding="utf-8"))["image"],
-        reference=json.loads(facts.read_text(encoding="utf-8"))["reference"],
+        read_json(profile)["image"],
+        reference=read_json(facts)["reference"],
         title=f"{title}, {scan.replace('_', ' ')}",
-        twin=twin,
     )

@@ -150,7 +150,6 @@ def scan_reference(
     points: pd.DataFrame,
     *,
     title: str = "Scanned object",
-    twin: bool = False,
 ) -> Figure:
     """Orthophoto; reference; scan in the same view.
 
@@ -161,7 +160,6 @@ def scan_reference(
     mesh : the reference.
     points : columns `POINTS`, in the frame of the reference.
     title : first words of the title.
-    twin : true if the digital twin made the recordings.
 
     Raises
     ------
@@ -170,9 +168,9 @@ def scan_reference(
     used = need(need(points, POINTS, "points of the scan")[points["used"]], POINTS, "points on the reference")
     head = (
         f"{title}: reference of {count(len(mesh.faces))} faces, n = {count(len(used))} points of "
-        f"{plural(int(used['file'].nunique()), 'line')} on it"
+        f"{plural(used['file'].nunique(), 'line')} on it"
     )
-    figure = new_figure(118.0, head, twin=twin)
+    figure = new_figure(118.0, head)
     grid = figure.add_gridspec(2, 2, height_ratios=[1.0, 1.1])
     _photo(figure.add_subplot(grid[0, :]), photo, extent_mm)
     reference, scan = figure.add_subplot(grid[1, 0]), figure.add_subplot(grid[1, 1])
@@ -189,7 +187,7 @@ def scan_reference(
     heights = ScalarMappable(Normalize(float(low[2]), float(high[2])), HEIGHT_MAP)
     shown = used.iloc[:: max(1, -(-len(used) // _MOST_POINTS))]
     number, shades = line_numbers(shown["file"])
-    xyz = _MM_PER_M * shown[["x_m", "y_m", "z_m"]].to_numpy(np.float64) + _ABOVE_MM * VIEW.axes[2]
+    xyz = _MM_PER_M * shown[["x_m", "y_m", "z_m"]].to_numpy() + _ABOVE_MM * VIEW.axes[2]
     spots(scan, *pair(VIEW.apply(xyz)[0].T), shades.to_rgba(number), s=0.7, gid="scan", zorder=3)
     for ax, colour, words in ((reference, heights, "z / mm"), (scan, shades, "number of the line")):
         figure.colorbar(colour, ax=ax, label=words, location="bottom", aspect=30, pad=0.02, shrink=0.8)
@@ -245,7 +243,7 @@ def read_orthophoto(picture: Path, world: Path) -> tuple[ArrayU8, tuple[float, f
 
 
 def draw_scan_reference(
-    *, picture: Path, world: Path, reference: list[Path], distances: Path, scan: str, title: str, twin: bool
+    *, picture: Path, world: Path, reference: list[Path], distances: Path, scan: str, title: str
 ) -> Figure:
     """Orthophoto, reference and distances of a scan -> figure of the object."""
     photo, extent_mm = read_orthophoto(picture, world)
@@ -255,5 +253,4 @@ def draw_scan_reference(
         read_mesh(reference[0])[0],
         read_parquet(distances),
         title=f"{title}, {scan.replace('_', ' ')}",
-        twin=twin,
     )

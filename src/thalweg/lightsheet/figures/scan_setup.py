@@ -32,7 +32,6 @@ def scan_setup(
     points: pd.DataFrame,
     *,
     title: str = "Set-up of a scan",
-    twin: bool = False,
 ) -> Figure:
     """Standing camera, panel, sensor and scanned points; places of panel, camera and laser at three images.
 
@@ -44,7 +43,6 @@ def scan_setup(
     camera : the standing one.
     points : columns `POINTS`, of the scan in the frame of the standing camera.
     title : first words of the title.
-    twin : true if the digital twin made the recordings.
 
     Raises
     ------
@@ -62,7 +60,7 @@ def scan_setup(
         f"sigma {sigma_mm:.3f} mm and {sigma_deg:.4f}° "
         "(P4 7.3: 0.05 mm, 0.01°)"
     )
-    figure = new_figure(120.0, head, twin=twin)
+    figure = new_figure(120.0, head)
     grid = figure.add_gridspec(2, 2, height_ratios=[1.0, 1.1])
     _whole(
         figure.add_subplot(grid[0, :]), sensor, poses, int(three[len(three) // 2]), panel_m, camera, points
@@ -125,9 +123,7 @@ def _whole(
     # from the side of the line between standing camera and panel, a little from behind
     azimuth = float(np.rad2deg(np.arctan2(way[0], way[1]))) + 62.0
     space = Space(ax, Oblique(azimuth_deg=azimuth, elevation_deg=16.0))
-    xyz = in_sensor(
-        points[["x_m", "y_m", "z_m"]].to_numpy(np.float64)[:: max(1, len(points) // _MOST_POINTS)]
-    )
+    xyz = in_sensor(points[["x_m", "y_m", "z_m"]].to_numpy()[:: max(1, len(points) // _MOST_POINTS)])
     space.dots(xyz, "0.35", ms=0.8, gid="scan", zorder=2)
     laser, own = sensor.sheet.origin_lcs_mm, sensor.camera_origin_lcs_mm
     low, high = np.minimum(laser, own) - 40.0, np.maximum(laser, own) + 40.0
@@ -152,15 +148,7 @@ def _whole(
 
 
 def draw_scan_setup(
-    *,
-    sensor: Path,
-    poses: Path,
-    panel: list[Path],
-    camera: list[Path],
-    points: Path,
-    scan: str,
-    title: str,
-    twin: bool,
+    *, sensor: Path, poses: Path, panel: list[Path], camera: list[Path], points: Path, scan: str, title: str
 ) -> Figure:
     """Poses of a scan, panel, standing camera, sensor and cloud -> figure of the set-up."""
     return scan_setup(
@@ -170,5 +158,4 @@ def draw_scan_setup(
         read_standing_camera(camera[0]),
         read_parquet(points),
         title=f"{title}, scan of {scan.replace('_', ' ')}",
-        twin=twin,
     )

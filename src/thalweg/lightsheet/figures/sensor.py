@@ -29,7 +29,6 @@ from thalweg.lightsheet.figures.views import (
     GLASS_COLOUR,
     LIGHT_COLOUR,
     WATER_COLOUR,
-    Look,
     Space,
     along_and_off,
     beam_paths,
@@ -78,9 +77,7 @@ DEPTHS_MM: Final = (0.0, 50.0, 125.0, 250.0)
 
 
 @styled
-def sensor_setup(
-    sensor: Sensor, *, depth_mm: float = DEPTH_MM, title: str = "Light-sheet sensor", twin: bool = False
-) -> Figure:
+def sensor_setup(sensor: Sensor, *, depth_mm: float = DEPTH_MM, title: str = "Light-sheet sensor") -> Figure:
     """Section through laser and camera; one image ray and its sub-beam in space.
 
     Parameters
@@ -88,7 +85,6 @@ def sensor_setup(
     sensor : any.
     depth_mm : of the point that is measured as an example, in the middle of its line.
     title : first words of the title.
-    twin : true if the sensor is that of the digital twin.
 
     Raises
     ------
@@ -108,7 +104,7 @@ def sensor_setup(
         f"{title}: base {base:.0f} mm, {columns} x {rows} pixels of {size[0]:.2f} mm x {size[1]:.2f} mm in "
         f"{depth_mm:g} mm depth (P4 Table 1: 174 mm, 2048 x 2048, 0.02 mm x 0.03 mm)"
     )
-    figure = new_figure(110.0, head, twin=twin)
+    figure = new_figure(110.0, head)
     section, space = figure.subplots(1, 2, width_ratios=[1.0, 1.25])
     _section(section, sensor, depth_mm, point)
     _space(Space(space, VIEW), sensor, point)
@@ -165,10 +161,17 @@ def _section(ax: Axes, sensor: Sensor, depth_mm: float, point: ArrayF) -> None:
         ((left + 25.0, 0.0), "air", (0, 7)),
         ((left + 25.0, -thick), "water", (0, -7)),
     ):
-        look: Look = {"fontsize": 7, "ha": "right", "va": "center", "textcoords": "offset points"}
-        ax.annotate(words, (float(at[0]), float(at[1])), xytext=shift, **look)
-    ax.set_xlim(left, float(flat[..., 0].max()) + 15.0)
-    ax.set_ylim(deepest, float(place[:, 1].max()) + 30.0)
+        ax.annotate(
+            words,
+            (float(at[0]), float(at[1])),
+            xytext=shift,
+            fontsize=7,
+            ha="right",
+            va="center",
+            textcoords="offset points",
+        )
+    ax.set_xlim(left, flat[..., 0].max() + 15.0)
+    ax.set_ylim(deepest, place[:, 1].max() + 30.0)
     ax.set_aspect("equal", adjustable="box")
     ax.set(xlabel="from laser to camera / mm", ylabel="z / mm")
     ax.set_title(f"a: section; {thick:.1f} mm of glass")
@@ -206,9 +209,9 @@ def _sheet(space: Space, paths: ArrayF, low: ArrayF, high: ArrayF, window: Windo
             space.plate(low, high, z, colour, alpha=0.5, zorder=4 + 2 * k)
 
 
-def draw_sensor_setup(*, sensor: Path, title: str, twin: bool) -> Figure:
+def draw_sensor_setup(*, sensor: Path, title: str) -> Figure:
     """Calibrated light-sheet sensor -> figure of its set-up and of one measured point."""
-    return sensor_setup(read_sensor(sensor), title=title, twin=twin)
+    return sensor_setup(read_sensor(sensor), title=title)
 
 
 # ---------------------------------------------------------------- refraction bends the sheet (P3 Fig. 1, P4
@@ -238,7 +241,7 @@ def sheet_deformation() -> Figure:
         f"A plane light sheet behind {WINDOW.thickness_mm:g} mm of glass, refractive index "
         f"{WINDOW.n_glass:.2f}, on a plane in {DEPTH_MM:g} mm of water, {WINDOW.n_water} (no data)"
     )
-    figure = new_figure(124.0, head, twin=False)
+    figure = new_figure(124.0, head)
     axes = figure.subplots(2, 2, height_ratios=[1.5, 1.0])
     for k, (first, second) in enumerate(TILTS_DEG):
         paths = sheet_paths(tilted_sheet(first, second))
@@ -302,7 +305,6 @@ def measurement_volume_view(
     *,
     step_px: int = 8,
     title: str = "Measurement volume",
-    twin: bool = False,
 ) -> Figure:
     """Above: X, Y and depth of each pixel. Below: the border of the image and lines of equal depth in space.
 
@@ -312,7 +314,6 @@ def measurement_volume_view(
     depths_mm : of the lines; those that the sensor does not see are left out and named.
     step_px : of the tables.
     title : first words of the title.
-    twin : true if the sensor is that of the digital twin.
 
     Raises
     ------
@@ -327,7 +328,7 @@ def measurement_volume_view(
         f"{title}: {volume.depth_mm[1]:.0f} mm deep, {size[0]:.0f} mm x {size[1]:.0f} mm, "
         f"{100 * volume.share:.0f} % of the image see the sheet in the water"
     )
-    figure = new_figure(150.0, head, twin=twin)
+    figure = new_figure(150.0, head)
     axes = figure.subplots(2, 3, height_ratios=[1.35, 1.0])
     maps = (
         ("a: x", "x / mm", grid.xyz_lcs_mm[..., 0], HEIGHT_MAP),
@@ -335,17 +336,31 @@ def measurement_volume_view(
         ("c: depth", "depth / mm", grid.depth_mm, DEPTH_MAP),
     )
     for k, (ax, (words, label, values, colours)) in enumerate(zip(axes[0], maps, strict=True)):
-        norm = Normalize(float(np.nanmin(values)), float(np.nanmax(values)))
-        look: Look = {"cmap": colours, "norm": norm, "rasterized": True, "gid": f"map {'xyz'[k]}"}
+        norm = Normalize(np.nanmin(values), np.nanmax(values))
         x, y = _edges(grid.x_px), _edges(grid.y_px)
-        ax.pcolormesh(x, y, np.ma.masked_invalid(values), **look)
+        ax.pcolormesh(
+            x,
+            y,
+            np.ma.masked_invalid(values),
+            cmap=colours,
+            norm=norm,
+            rasterized=True,
+            gid=f"map {'xyz'[k]}",
+        )
         ax.set_xlim(x[0], x[-1])
         ax.set_ylim(y[-1], y[0])
         ax.set_aspect("equal")
         for line in lines:
             colour, style, _ = looks[line.depth_mm]
-            look = {"label": f"{line.depth_mm:g} mm deep", "gid": f"depth {line.depth_mm:g}"}
-            ax.plot(*line.xy_px.T, color=colour, ls=style, lw=1.4, path_effects=HALO, **look)
+            ax.plot(
+                *line.xy_px.T,
+                color=colour,
+                ls=style,
+                lw=1.4,
+                path_effects=HALO,
+                label=f"{line.depth_mm:g} mm deep",
+                gid=f"depth {line.depth_mm:g}",
+            )
         ax.set(title=words, xlabel="column / px", ylabel="row / px" if k == 0 else "")
         ax.tick_params(labelleft=k == 0)
         shades = ScalarMappable(norm, colours)
@@ -399,6 +414,6 @@ def _views(
         ax.grid()
 
 
-def draw_measurement_volume(*, sensor: Path, title: str, twin: bool) -> Figure:
+def draw_measurement_volume(*, sensor: Path, title: str) -> Figure:
     """A light-sheet sensor -> figure of what it can measure."""
-    return measurement_volume_view(read_sensor(sensor), title=title, twin=twin)
+    return measurement_volume_view(read_sensor(sensor), title=title)

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from thalweg.core import ArrayF, read_table
 from thalweg.figures import HEIGHT_MAP, PURPLE, VERMILION, count, new_figure, plural, robust_limits, styled
-from thalweg.lightsheet.figures.views import Look, line_numbers, need, spots
+from thalweg.lightsheet.figures.views import line_numbers, need, spots
 from thalweg.lightsheet.scanning import BED_POINTS
 
 POINTS: Final = ("file", "t_gps_s", "east_m", "north_m", "up_m", "cov_uu_m2", "sigma_line_m")
@@ -32,7 +32,6 @@ def bed_strip(
     truth: pd.DataFrame | None = None,
     truth_lines: pd.DataFrame | None = None,
     title: str = "Strip of the bed",
-    twin: bool = False,
 ) -> Figure:
     """Points from above, along their lines, and by line with their predicted sigma.
 
@@ -41,7 +40,6 @@ def bed_strip(
     points : columns `POINTS`, see `thalweg.lightsheet.scanning.world.BED_POINTS`.
     truth, truth_lines : for a twin, the heights over the true bed: of the strip, and by line.
     title : first words of the title.
-    twin : true if the digital twin made the images.
 
     Raises
     ------
@@ -60,7 +58,7 @@ def bed_strip(
             f"; minus true bed {_CM_PER_M * row['mean_m']:+.1f} cm, within lines "
             f"{1e3 * row['std_within_lines_m']:.1f} mm"
         )
-    figure = new_figure(126.0, head, twin=twin)
+    figure = new_figure(126.0, head)
     grid = figure.add_gridspec(2, 2, width_ratios=[1.0, 1.25])
     _plan(figure, figure.add_subplot(grid[:, 0]), points)
     section = figure.add_subplot(grid[0, 1])
@@ -79,8 +77,7 @@ def _plan(figure: Figure, ax: Axes, points: pd.DataFrame) -> None:
     middle = points[["east_m", "north_m"]].mean().to_numpy()
     east, north = (_CM_PER_M * (shown[["east_m", "north_m"]] - middle)).to_numpy().T
     norm = Normalize(*robust_limits(_CM_PER_M * points["up_m"], 0.5, 99.5))
-    look: Look = {"cmap": HEIGHT_MAP, "norm": norm, "s": 1.0, "gid": "points"}
-    drawn = spots(ax, east, north, _CM_PER_M * shown["up_m"], **look)
+    drawn = spots(ax, east, north, _CM_PER_M * shown["up_m"], cmap=HEIGHT_MAP, norm=norm, s=1.0, gid="points")
     figure.colorbar(drawn, ax=ax, label="height / cm", location="bottom", aspect=30, pad=0.02, extend="both")
     ax.set_aspect("equal", adjustable="datalim")
     ax.set(xlabel=f"east of {middle[0]:.2f} m / cm", ylabel=f"north of {middle[1]:.2f} m / cm")
@@ -90,8 +87,8 @@ def _plan(figure: Figure, ax: Axes, points: pd.DataFrame) -> None:
 
 def along_lines(points: pd.DataFrame) -> ArrayF:
     """Places (n,) of points along the direction in which the lines run, in plan, metres."""
-    xy = points[["east_m", "north_m"]].to_numpy(np.float64)
-    own = xy - points.groupby("file")[["east_m", "north_m"]].transform("mean").to_numpy(np.float64)
+    xy = points[["east_m", "north_m"]].to_numpy()
+    own = xy - points.groupby("file")[["east_m", "north_m"]].transform("mean").to_numpy()
     direction = np.linalg.svd(own[:: max(1, len(own) // 5000)], full_matrices=False)[2][0]
     # to the east, or to the north
     direction *= np.sign(direction[np.argmax(np.abs(direction))])
@@ -130,25 +127,40 @@ def _along_time(ax: Axes, points: pd.DataFrame, truth_lines: pd.DataFrame | None
         ax.axhline(0.0, color="black", lw=0.7)
     sigma = _CM_PER_M * table["sigma_up_m"]
     centre = mean if truth_lines is None else 0.0
-    look: Look = {"color": PURPLE, "alpha": 0.3, "lw": 0, "gid": "predicted", "label": "predicted sigma"}
-    ax.fill_between(table["t_s"], centre - sigma, centre + sigma, **look)
-    look = {"ls": "none", "marker": "o", "ms": 3, "color": VERMILION, "capsize": 2, "gid": "means"}
-    ax.errorbar(table["t_s"], mean, yerr=std, label="mean and standard deviation of a line", **look)
+    ax.fill_between(
+        table["t_s"],
+        centre - sigma,
+        centre + sigma,
+        color=PURPLE,
+        alpha=0.3,
+        lw=0,
+        gid="predicted",
+        label="predicted sigma",
+    )
+    ax.errorbar(
+        table["t_s"],
+        mean,
+        yerr=std,
+        label="mean and standard deviation of a line",
+        ls="none",
+        marker="o",
+        ms=3,
+        color=VERMILION,
+        capsize=2,
+        gid="means",
+    )
     ax.set_xlabel("time since the first line / s")
     ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.28))
     ax.grid()
 
 
-def draw_bed_strip(
-    *, points: Path, truth: list[Path], truth_lines: list[Path], title: str, twin: bool
-) -> Figure:
+def draw_bed_strip(*, points: Path, truth: list[Path], truth_lines: list[Path], title: str) -> Figure:
     """Points of the bed under the boat, for a twin with their errors -> figure."""
     return bed_strip(
         read_table(points, BED_POINTS)[0],
         truth=pd.read_csv(truth[0]) if truth else None,
         truth_lines=pd.read_csv(truth_lines[0]) if truth_lines else None,
         title=f"{title}, strip of the bed",
-        twin=twin,
     )
 
 

@@ -40,7 +40,6 @@ STREAM_KEYS = {
     "image_times": ("calibration", "image_times"),
     "board_images": ("calibration", "board_images"),
     "board_scans": ("calibration", "board_scans"),
-    "board_observations": ("calibration", "board_observations"),
     "board_camera": ("calibration", "board_camera"),
     "clock_ties": ("calibration", "clock_ties"),
     "trigger_pulses": ("calibration", "trigger_pulses"),
@@ -146,9 +145,6 @@ class CalibrationLogs(Section):
     )
     board_scans: Files = Field(
         default=(), description="Lidar recording of each pose: capture or PCD, in the order of board_images"
-    )
-    board_observations: Files = Field(
-        default=(), description="Boards as another program measured them (CSV), instead of images and scans"
     )
     board_camera: Files = Field(
         default=(), description="Interior orientation for board_images: calibration, OpenCV or COLMAP file"

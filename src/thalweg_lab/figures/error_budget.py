@@ -2,16 +2,17 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from thalweg.budgets import GROUPS, TOTAL, Budget, group_shares, read_budget, read_published, totals_mm
+from thalweg.budgets import GROUPS, TOTAL, Budget, read_budget, totals_mm
 from thalweg.core import ArrayF, InputError
 from thalweg.figures import BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION, legend_below, new_figure, styled
+from thalweg_lab.reproduction import group_shares, read_published
 
 FARTHEST_M: Final = 60.0
 STYLE: Final = {
@@ -47,7 +48,7 @@ def error_budget(budgets: Sequence[Budget], published: Sequence[pd.DataFrame | N
             expected="budgets without correlations: covariance terms may be negative and cannot be stacked",
         )
     d = np.linspace(1.0, FARTHEST_M, 237)
-    figure = new_figure(112.0, "Where the error of a point comes from, by its distance", twin=False)
+    figure = new_figure(112.0, "Where the error of a point comes from, by its distance")
     axes = figure.subplots(
         2, len(budgets), sharex=True, sharey="row", squeeze=False, height_ratios=[1.5, 1.0]
     )
@@ -60,8 +61,17 @@ def error_budget(budgets: Sequence[Budget], published: Sequence[pd.DataFrame | N
         axes[0, k].plot(d, total, color="black", lw=1.2, label="total", gid="total")
         if cells is not None:
             points = cells[(cells["input"] == TOTAL) & cells["distance_m"].notna()]
-            look = {"mfc": "white", "mec": "black", "ms": 5, "zorder": 5, "gid": "published"}
-            axes[0, k].plot(points["distance_m"], points["value_mm"], "o", label="total as published", **look)
+            axes[0, k].plot(
+                points["distance_m"],
+                points["value_mm"],
+                "o",
+                label="total as published",
+                mfc="white",
+                mec="black",
+                ms=5,
+                zorder=5,
+                gid="published",
+            )
         axes[0, k].set_title(f"{budget.title}\n{budget.source}; geometry {budget.status}", fontsize="small")
         axes[1, k].set_xlabel("distance / m")
     axes[0, 0].set_ylabel("3D standard deviation / mm,\ndivided as the variances")
@@ -77,8 +87,17 @@ def _stack(ax: Axes, d: ArrayF, parts: list[ArrayF]) -> None:
     below = np.zeros_like(d)
     for group, part in zip(STYLE, parts, strict=True):
         colour, hatch = STYLE[group]
-        look: dict[str, Any] = {"facecolor": colour, "edgecolor": (1, 1, 1, 0.55), "hatch": hatch, "lw": 0.0}
-        ax.fill_between(d, below, below + part, **look, label=group, gid=group)
+        ax.fill_between(
+            d,
+            below,
+            below + part,
+            facecolor=colour,
+            edgecolor=(1, 1, 1, 0.55),
+            hatch=hatch,
+            lw=0.0,
+            label=group,
+            gid=group,
+        )
         below = below + part
         ax.plot(d, below, color="white", lw=0.5)
 

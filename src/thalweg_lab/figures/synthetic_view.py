@@ -1,7 +1,7 @@
 """What a camera and a coarse lidar would see of the calibration field (P2 Fig. 4)."""
 
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import pandas as pd
@@ -10,10 +10,9 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import BoundaryNorm, Normalize
 from matplotlib.figure import Figure
 
-from thalweg.core import ArrayF32, ArrayU8
+from thalweg.core import ArrayF32, ArrayU8, read_parquet
 from thalweg.figures import HEIGHT_MAP, RING_MAP, count, new_figure, plural, robust_limits, scale_bar, styled
-from thalweg.figures.calibration.field import Oblique, fit_axes
-from thalweg.figures.calibration.tables import points_of, read_figure_table
+from thalweg.figures.calibration import Oblique, fit_axes, points_of
 
 BRIGHTEST: Final = 0.35
 DARKEST: Final = 1.0
@@ -22,12 +21,7 @@ DARKEST: Final = 1.0
 
 @styled
 def synthetic_view(
-    height_m: ArrayF32,
-    shade: ArrayU8,
-    lidar: pd.DataFrame,
-    *,
-    title: str = "Synthetic image and lidar frame",
-    twin: bool = False,
+    height_m: ArrayF32, shade: ArrayU8, lidar: pd.DataFrame, *, title: str = "Synthetic image and lidar frame"
 ) -> Figure:
     """Image with cones coloured by height, and a lidar frame coloured by scan line.
 
@@ -38,13 +32,12 @@ def synthetic_view(
     lidar : points on the cones, columns of ``lidar frame`` (see `thalweg.figures.calibration.tables`); others
         may stand in it with ``on_cone`` false and are drawn in grey.
     title : first words of the title.
-    twin : true if the digital twin made the data.
     """
     on_cone = lidar["on_cone"].to_numpy(bool) if "on_cone" in lidar else np.ones(len(lidar), dtype=bool)
     rings = np.sort(lidar["ring"].unique())
     h, w = height_m.shape
-    head = f"{title}, n = {count(int(on_cone.sum()))} points on cones in {plural(len(rings), 'scan line')}"
-    figure = new_figure(min(165.0, 155.0 * h / w + 92.0), head, twin=twin)
+    head = f"{title}, n = {count(on_cone.sum())} points on cones in {plural(len(rings), 'scan line')}"
+    figure = new_figure(min(165.0, 155.0 * h / w + 92.0), head)
     top, below = figure.subplots(2, 1, height_ratios=[h / w, 0.5])
     _image(figure, top, height_m, shade)
     _frame(figure, below, lidar, on_cone, rings)
@@ -72,8 +65,18 @@ def _frame(figure: Figure, ax: Axes, points: pd.DataFrame, on_cone: np.ndarray, 
     norm = BoundaryNorm(np.arange(len(rings) + 1) - 0.5, RING_MAP.N)
     ax.plot(*xy[~on_cone].T, ".", ms=1.4, mew=0, color="0.65", rasterized=True, gid="others")
     order = np.flatnonzero(on_cone)[np.argsort(depth[on_cone])]
-    look: dict[str, Any] = {"c": ring[order], "cmap": RING_MAP, "norm": norm, "lw": 0, "rasterized": True}
-    ax.scatter(xy[order, 0], xy[order, 1], s=4.0, **look, gid="frame", zorder=3)
+    ax.scatter(
+        xy[order, 0],
+        xy[order, 1],
+        s=4.0,
+        c=ring[order],
+        cmap=RING_MAP,
+        norm=norm,
+        lw=0,
+        rasterized=True,
+        gid="frame",
+        zorder=3,
+    )
     width = fit_axes(ax, xy[on_cone])
     ax.axis("off")
     scale_bar(ax, span_m=width, xy=(0.02, 0.03))
@@ -89,11 +92,9 @@ def _frame(figure: Figure, ax: Axes, points: pd.DataFrame, on_cone: np.ndarray, 
     bar.ax.tick_params(length=0)
 
 
-def draw_synthetic_view(*, view: Path, lidar_frame: Path, title: str, twin: bool) -> Figure:
+def draw_synthetic_view(*, view: Path, lidar_frame: Path, title: str) -> Figure:
     """Picture of the field with heights, and a coarse lidar frame -> figure of both."""
     with np.load(view, allow_pickle=False) as data:
         height_m, shade = data["height_m"], data["shade"]
-    frame = read_figure_table(lidar_frame)
-    return synthetic_view(
-        height_m, shade, frame, title=f"{title}: synthetic image and lidar frame", twin=twin
-    )
+    frame = read_parquet(lidar_frame)
+    return synthetic_view(height_m, shade, frame, title=f"{title}: synthetic image and lidar frame")

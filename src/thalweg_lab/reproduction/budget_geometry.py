@@ -21,9 +21,9 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 from scipy.stats import qmc
 
-from thalweg.budgets.budget import COORDINATES, TOTAL, Budget, Frame, Motion, frame_columns
-from thalweg.budgets.published import BY_SIGMA, MATCHED, MISSED, verdicts
-from thalweg.core import ArrayF, ArrayI, GeometryError, Link, chain_derivatives, opk_axes, rotation_opk
+from thalweg.budgets import COORDINATES, TOTAL, Budget, Frame, Motion, frame_columns
+from thalweg.core import ArrayF, ArrayI, Link, chain_derivatives, opk_axes, rotation_opk
+from thalweg_lab.reproduction.published_budgets import BY_SIGMA, MATCHED, MISSED, verdicts
 
 STARTS: Final = 1024
 LEVER_START_M: Final = 0.2
@@ -52,13 +52,9 @@ class Setup:
     Parameters
     ----------
     budget : sigmas, direction and motion; the start of all unknowns that are not estimated.
-    published : cells, see `thalweg.budgets.published`.
+    published : cells, see `thalweg_lab.reproduction.published_budgets`.
     lever_length_m : published length of the inner lever arm; 0 takes the arm away, None leaves it free.
     free_attitude, free_boresight : False keeps the budget's angles of the outer or inner frame.
-
-    Raises
-    ------
-    GeometryError : the budget has not two frames with omega, phi, kappa, or nothing is to be estimated.
     """
 
     budget: Budget
@@ -66,17 +62,6 @@ class Setup:
     lever_length_m: float | None = None
     free_attitude: bool = True
     free_boresight: bool = True
-
-    def __post_init__(self) -> None:
-        frames = self.budget.frames
-        if len(frames) != 2 or any("omega" not in frame.angles_deg for frame in frames):
-            raise GeometryError(
-                f"{len(frames)} frames", where=self.budget.name, expected="two, each with omega, phi, kappa"
-            )
-        if not len(self.free):
-            raise GeometryError(
-                "nothing to estimate", where=self.budget.name, expected="a free angle or lever"
-            )
 
     @cached_property
     def start(self) -> ArrayF:
