@@ -171,13 +171,19 @@ def test_a_larger_survey_follows_the_lines_that_were_measured() -> None:
     ]
     pairs = [("pairs", c, size, 0.1 * size**1.5, 800, 2) for c, size in zip("ab", (4, 16), strict=True)]
     alike = [("alike", "a", 8, 4, 1000, 3), ("alike", "a", 8, 6, 600, 3), ("alike", "b", 8, 4, 900, 3)]
+    drawn = [("plot_map", "a", 8, 1, 700, 5)]
     twin = [("simulate_lidar", "a", 1, 99, 9999, 9), ("compare_with_truth", "a", 1, 99, 9999, 9)]
     jobs = pd.DataFrame(
-        [*grows, *pairs, *alike, *twin],
+        [*grows, *pairs, *alike, *drawn, *twin],
         columns=["rule", "campaign", "input_mb", "cpu_s", "memory_mb", "output_mb"],
     )
     table = predicted(jobs.assign(threads=2), "a", 30.0).set_index("rule")
-    assert list(table.index) == ["alike", "grows", "pairs"]  # the most expensive first, none of the twin
+    assert list(table.index) == [
+        "alike",
+        "grows",
+        "pairs",
+        "plot_map",
+    ]  # the most expensive first, none of the twin
     assert table.loc["grows", ["jobs", "cpu_s", "longest_s"]].tolist() == pytest.approx([2, 17 + 122, 61])
     assert table.loc["grows", ["memory_mb", "output_mb"]].tolist() == pytest.approx([700 + 3 * 240, 4 + 25])
     assert table.loc["pairs", ["cpu_s", "memory_mb", "output_mb"]].tolist() == pytest.approx(
@@ -187,7 +193,8 @@ def test_a_larger_survey_follows_the_lines_that_were_measured() -> None:
     assert table.loc["alike", "memory_mb"] == FLOOR_MB + 30 * 300  # the smaller job stays below the floor
     assert table.loc["alike", ["output_mb", "least_cpu_s", "least_memory_mb"]].tolist() == [180, 10, 1000]
     assert table.loc["grows", "least_cpu_s"] == table.loc["grows", "cpu_s"]
-    assert table["measured_growth"].tolist() == [False, True, True]
+    assert table.loc["plot_map", ["cpu_s", "output_mb"]].tolist() == [30, 5]
+    assert table["measured_growth"].tolist() == [False, True, True, False]
     with pytest.raises(InputError, match="expected one of a, b"):
         predicted(jobs, "c", 2.0)
 

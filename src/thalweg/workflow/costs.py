@@ -8,6 +8,7 @@ states.
 
 import json
 import math
+import re
 import resource
 import sys
 from collections.abc import Callable, Iterable, Mapping
@@ -44,6 +45,9 @@ WASTE: Final = 0.25
 
 OF_TWIN: Final = "^simulate_|_with_truth$"
 """Rules that a survey of the real world has no job of."""
+
+PICTURES: Final = "^plot_|_page$"
+"""Rules whose outputs are pictures and pages: of one size, as they show a sample of what there is."""
 
 COLUMNS: Final = (
     *("campaign", "rule", "wall_s", "cpu_s", "threads"),
@@ -304,9 +308,9 @@ def predicted(jobs: pd.DataFrame, campaign: str, times: float) -> pd.DataFrame:
     Each job keeps its place in the workflow, and its inputs grow with the logs. Where jobs of a rule differ
     enough in their inputs (`GROWTH`), over all campaigns, processor time, memory and outputs follow a line
     over the inputs, or a power of them where that line would begin below zero. Elsewhere they are taken as
-    proportional, memory beyond `FLOOR_MB` alone: too much for pages, pictures and what holds pieces of its
-    inputs, too little for what grows faster. There the column ``measured_growth`` is false, and columns
-    ``least_`` hold what was measured, as if nothing grew.
+    proportional, memory beyond `FLOOR_MB` alone, but for the size of pictures and pages: too much for what
+    holds pieces of its inputs, too little for what grows faster. There the column ``measured_growth`` is
+    false, and columns ``least_`` hold what was measured, as if nothing grew.
 
     Parameters
     ----------
@@ -339,6 +343,8 @@ def predicted(jobs: pd.DataFrame, campaign: str, times: float) -> pd.DataFrame:
             for name, floor in (("cpu_s", 0.0), ("memory_mb", float(FLOOR_MB)), ("output_mb", 0.0))
         }
         least = found if _shows_growth(every) else group
+        if least is group and re.search(PICTURES, str(rule)):
+            found["output_mb"] = group["output_mb"].to_numpy(float)
         rows.append(
             {
                 "rule": rule,
