@@ -300,7 +300,7 @@ def _draw_plan(
     ax.plot(*eye[:2], "^", ms=7, mfc=RED, mec="white", mew=0.8, zorder=6, label=label, gid="viewpoint")
     left, right, _, _ = view.extent_deg
     # Wedges turn anticlockwise from east, azimuths clockwise from north.
-    sector = Wedge(tuple(eye[:2]), 1.3 * view.distance_m, 90.0 - right, 90.0 - left)
+    sector = Wedge((float(eye[0]), float(eye[1])), 1.3 * view.distance_m, 90.0 - right, 90.0 - left)
     sector.set(facecolor=(*to_rgb(RED), 0.1), edgecolor=RED, linewidth=0.8, zorder=2, gid="sector")
     ax.add_patch(sector)
     show_plan(ax, *map_extent(places, sample))
