@@ -375,7 +375,7 @@ def mask_view(
     tall = rows * min(WIDTH_MM / columns * high, 110.0)
     head = f"{title}: median usable share {100 * np.nanmedian(share):.0f} %, n = {plural(n, 'image')}"
     figure = new_figure(tall + 62.0, head)
-    upper, lower = figure.subfigures(2, 1, height_ratios=[tall + 10.0, 46.0])
+    upper, lower = np.ravel(np.asarray(figure.subfigures(2, 1, height_ratios=[tall + 10.0, 46.0])))
     axes = np.ravel(upper.subplots(rows, columns))
     for letter, ax, name in zip(ascii_lowercase, axes, pictures, strict=False):
         _picture(ax, *pictures[name])
