@@ -388,8 +388,8 @@ def mask_view(
     return figure
 
 
-def example_names(table: pd.DataFrame, n: int = EXAMPLES) -> list[str]:
-    """Images at the 10th, 50th and 90th percentile of the usable share, in order of time.
+def example_names(table: pd.DataFrame, n: int = EXAMPLES, tail: float = 0.1) -> list[str]:
+    """Images from one tail of the usable share to the other (10th, 50th, 90th percentile), in order of time.
 
     Raises
     ------
@@ -398,7 +398,7 @@ def example_names(table: pd.DataFrame, n: int = EXAMPLES) -> list[str]:
     order = table["usable_share"].dropna().sort_values(kind="stable").index
     if order.empty:
         raise CoverageError("no image has a mask", expected="at least one")
-    chosen = {order[round(q * (len(order) - 1))] for q in np.linspace(0.1, 0.9, n)}
+    chosen = {order[round(q * (len(order) - 1))] for q in np.linspace(tail, 1.0 - tail, n)}
     return [str(table.loc[k, "image"]) for k in sorted(chosen)]
 
 
