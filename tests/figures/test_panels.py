@@ -178,8 +178,8 @@ def _comparison(_: Path) -> dict[str, Any]:
 
 def _poses(_: Path) -> dict[str, Any]:
     k = np.arange(5.0)
-    rows = {f"{axis}_m": k for axis in ("east", "north", "up")}
-    rows |= {f"sigma_change_{axis}_m": 0.1 + 0 * k for axis in ("east", "north", "up")}
+    rows = {f"{axis}_m": k for axis in "xyz"}
+    rows |= {f"sigma_change_{axis}_m": 0.1 + 0 * k for axis in "xyz"}
     names = [f"{i}.jpg" for i in range(5)]
     return {
         "poses": pd.DataFrame({"image": names, "refused": "", "rms_px": k, "check_rms_px": np.nan, **rows})
@@ -189,7 +189,14 @@ def _poses(_: Path) -> dict[str, Any]:
 def _scan(_: Path) -> dict[str, Any]:
     k = np.arange(300)
     points = {"file": np.where(k < 150, "a.png", "b.png"), "x_m": 1e-4 * (k % 150), "y_m": 1e-3 * (k // 150)}
-    points |= {"z_m": 0.02, "distance_mm": np.sin(k), "sigma_mm": 1.0, "sigma_own_mm": 0.5, "used": k > 3}
+    points |= {
+        "z_m": 0.02,
+        "distance_mm": np.sin(k),
+        "sigma_mm": 1.0,
+        "sigma_own_mm": 0.5,
+        "used": k > 3,
+        "reason": "",
+    }
     return {"points": pd.DataFrame(points)}
 
 

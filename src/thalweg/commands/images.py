@@ -199,7 +199,7 @@ def _masks(options: argparse.Namespace) -> int:
         settings = MaskSettings(least_mirror=options.least_mirror)
     found = make_masks_of_cameras(images, options.out, settings, known_camera([], [], {}))
     found.to_csv(options.out / "masks.csv", index=False)
-    pictures = read_examples(example_names(found, _EXAMPLES), images, options.out)
+    pictures = read_examples(example_names(found, _EXAMPLES, tail=0.0), images, options.out)
     title = f"Masks of {options.out.resolve().name}"
     save(mask_view(found, pictures, title=title), options.out / "overview.png")
     for row in found.to_dict("records"):

@@ -216,10 +216,8 @@ def _draw_cells(
     ax: Axes, piece: Strip, place: ArrayF, distance_m: ArrayF, aside: ArrayF, limit_m: float, cell_m: float
 ) -> None:
     """The median of each cell; dark grey where all points were left out."""
-    (left, bottom), (columns, rows) = (
-        (piece.along_m[0], piece.up_slope_m[0]),
-        np.ceil(np.array(piece.size_m) / cell_m).astype(int),
-    )
+    left, bottom = piece.along_m[0], piece.up_slope_m[0]
+    columns, rows = (int(np.ceil(size / cell_m)) for size in piece.size_m)
 
     def cells(points: ArrayF) -> ArrayI:
         """Cell of each point, -1 outside the strip."""

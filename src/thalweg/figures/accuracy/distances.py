@@ -290,7 +290,7 @@ def _draw_rmse(
     ax.plot(r, normal, color=VERMILION, lw=1.6, ls="--", label=words, gid="normal")
     ax.plot(r, observed, color=BLUE, lw=0.8, zorder=3)
     ax.plot(r[many], observed[many], "o", color=BLUE, label="observed", zorder=4)
-    hollow = {"color": BLUE, "mfc": "white"}
+    hollow: dict[str, Any] = {"color": BLUE, "mfc": "white"}
     if not many.all():
         few = f"observed, fewer than {LEAST} points"
         ax.plot(r[~many], observed[~many], "o", **hollow, zorder=4, label=few)

@@ -292,7 +292,9 @@ def _draw_plan(
     order = np.argsort((np.arange(len(points)) * 2_654_435_761) % 2**32)
     colours = {int(k): STATION_COLOURS[i % len(STATION_COLOURS)] for i, k in enumerate(np.unique(source))}
     drawn = [colours[int(k)] for k in which[order]]
-    ax.scatter(*points[order].T, c=drawn, s=0.5, lw=0, alpha=0.6, rasterized=True, gid="scans")
+    ax.scatter(
+        points[order, 0], points[order, 1], c=drawn, s=0.5, lw=0, alpha=0.6, rasterized=True, gid="scans"
+    )
     for k, colour in colours.items():
         ax.plot([], [], "s", color=colour, label=f"scan {names.get(k, k)}, n = {count(counts[k])}")
     ax.plot(*track.T, color="black", lw=0.9, label="track of the boat", gid="track", path_effects=HALO)
@@ -300,7 +302,7 @@ def _draw_plan(
     ax.plot(*eye[:2], "^", ms=7, mfc=RED, mec="white", mew=0.8, zorder=6, label=label, gid="viewpoint")
     left, right, _, _ = view.extent_deg
     # Wedges turn anticlockwise from east, azimuths clockwise from north.
-    sector = Wedge(tuple(eye[:2]), 1.3 * view.distance_m, 90.0 - right, 90.0 - left)
+    sector = Wedge((float(eye[0]), float(eye[1])), 1.3 * view.distance_m, 90.0 - right, 90.0 - left)
     sector.set(facecolor=(*to_rgb(RED), 0.1), edgecolor=RED, linewidth=0.8, zorder=2, gid="sector")
     ax.add_patch(sector)
     show_plan(ax, *map_extent(places, sample))

@@ -184,8 +184,9 @@ def volume_along(tables: Sequence[tuple[str, pd.DataFrame]], *, by_boat: bool, t
         low, high = volumes.get_ylim()
         volumes.set_ylim(low, high + 0.18 * (high - low))
         x, width = _places(rows, 0.0)
+        length_m = _places(table, 0.0)[1].iloc[0]
         volumes.set_title(
-            f"epochs {name.replace('-', ' to ')}, {len(rows)} stretches of {width.iloc[0]:g} m, bars: 95 %"
+            f"epochs {name.replace('-', ' to ')}, {len(rows)} stretches of {length_m:g} m, bars: 95 %"
         )
         volumes.legend(loc="upper center", ncols=3)
         volumes.tick_params(labelbottom=False)

@@ -375,7 +375,7 @@ def mask_view(
     tall = rows * min(WIDTH_MM / columns * high, 110.0)
     head = f"{title}: median usable share {100 * np.nanmedian(share):.0f} %, n = {plural(n, 'image')}"
     figure = new_figure(tall + 62.0, head)
-    upper, lower = figure.subfigures(2, 1, height_ratios=[tall + 10.0, 46.0])
+    upper, lower = np.ravel(np.asarray(figure.subfigures(2, 1, height_ratios=[tall + 10.0, 46.0])))
     axes = np.ravel(upper.subplots(rows, columns))
     for letter, ax, name in zip(ascii_lowercase, axes, pictures, strict=False):
         _picture(ax, *pictures[name])
@@ -388,8 +388,8 @@ def mask_view(
     return figure
 
 
-def example_names(table: pd.DataFrame, n: int = EXAMPLES) -> list[str]:
-    """Images at the 10th, 50th and 90th percentile of the usable share, in order of time.
+def example_names(table: pd.DataFrame, n: int = EXAMPLES, tail: float = 0.1) -> list[str]:
+    """Images from one tail of the usable share to the other (10th, 50th, 90th percentile), in order of time.
 
     Raises
     ------
@@ -398,7 +398,7 @@ def example_names(table: pd.DataFrame, n: int = EXAMPLES) -> list[str]:
     order = table["usable_share"].dropna().sort_values(kind="stable").index
     if order.empty:
         raise CoverageError("no image has a mask", expected="at least one")
-    chosen = {order[round(q * (len(order) - 1))] for q in np.linspace(0.1, 0.9, n)}
+    chosen = {order[round(q * (len(order) - 1))] for q in np.linspace(tail, 1.0 - tail, n)}
     return [str(table.loc[k, "image"]) for k in sorted(chosen)]
 
 
