@@ -38,7 +38,7 @@ from thalweg.core import (
     Trajectory,
     root_mean_square,
 )
-from thalweg.core.calibration import Block, Calibration, Source, lever_block
+from thalweg.core.calibration import Calibration, Source, lever_block
 from thalweg.settings.sections import EchoSounderFit
 
 PARAMETERS: Final = ("x", "y", "z", "lag")
@@ -491,7 +491,6 @@ def check_fit(found: EchoSounder) -> None:
 
 def echo_calibration(found: EchoSounder, *, run: str, twin: bool) -> Calibration:
     """The place as a calibration with the block ``echo_sounder``."""
-    place = lever_block("echo_sounder", found.lever_ics_m)
     facts = {
         "method": "soundings over a surveyed bed, and ruler",
         "determined": [name for name in found.observed if name != "lag"],
@@ -500,14 +499,7 @@ def echo_calibration(found: EchoSounder, *, run: str, twin: bool) -> Calibration
         "sigma_lag_s": round(found.sigma_lag_s, 6),
         "lag_determined": "lag" in found.observed,
     }
-    block = Block(
-        name=place.name,
-        quantities=place.quantities,
-        values=place.values,
-        equation=place.equation,
-        convention=place.convention,
-        facts=facts,
-    )
+    block = replace(lever_block("echo_sounder", found.lever_ics_m), facts=facts)
     source = Source(
         run=run,
         method="soundings over a surveyed bed, and ruler",

@@ -52,20 +52,20 @@ def intersect_point(
     ------
     InputError : rays that are parallel.
     """
-    rows = np.asarray(rows)
-    R, C, first = poses.R_wcs_ccs[rows], poses.centre_wcs_m[rows], np.zeros(len(rows), np.int64)
+    at = np.asarray(rows)
+    R, C, first = poses.R_wcs_ccs[at], poses.centre_wcs_m[at], np.zeros(len(at), np.int64)
     point = nearest_to_rays(C, np.einsum("nij,nj->ni", R, camera.rays(xy_px)))
     if not np.isfinite(point).all():
         raise InputError("rays that do not meet", expected="images from different places")
-    seen = collinear([camera], first, R, C, np.tile(point, (len(rows), 1)))
-    cov = seen.by_pose @ poses.cov_pose_wcs[rows] @ np.swapaxes(seen.by_pose, 1, 2)
+    seen = collinear([camera], first, R, C, np.tile(point, (len(at), 1)))
+    cov = seen.by_pose @ poses.cov_pose_wcs[at] @ np.swapaxes(seen.by_pose, 1, 2)
     W = np.linalg.inv(cov + np.square(sigma_px)[:, None, None] * np.eye(2))
     for _ in range(_ITERATIONS):
         J = seen.by_point
         N = np.einsum("nji,njk,nkl->il", J, W, J)
         step = np.linalg.solve(N, np.einsum("nji,njk,nk->i", J, W, xy_px - seen.xy_px))
         point = point + step
-        seen = collinear([camera], first, R, C, np.tile(point, (len(rows), 1)))
+        seen = collinear([camera], first, R, C, np.tile(point, (len(at), 1)))
         if np.linalg.norm(step) < 1e-6:
             break
     return point, np.asarray(np.linalg.inv(N)), xy_px - seen.xy_px

@@ -793,35 +793,24 @@ def foreign_markers(references: pd.DataFrame) -> list[str]:
     references : of `reference_table`.
     """
     marker = references["point"].str.split("/").str[0]
-    where: dict[tuple[str, str], str] = {}
-    bad: dict[tuple[str, str], str] = {}
+    lines: list[str] = []
     for key, part in references.assign(marker=marker).groupby(["cone", "marker"], sort=False):
         cone, name = (str(k) for k in key)
         places = part["lies_on"][part["lies_on"] != ""]
         if len(places) >= _CORNERS:
-            where[cone, name] = str(places.mode().iloc[0])
+            place = places.mode().iloc[0]
+            lines.append(
+                f"marker {name} is stated for cone {cone} but lies on {place}, and takes no part. Correct "
+                f"the markers of {cone} and {place} in the description of the field, or exchange the sheets "
+                "and photograph the field again"
+            )
         elif int((~part["used"]).sum()) >= _CORNERS and part["distance_mm"].notna().all():
             off = float(part["distance_mm"].abs().median())
-            bad[cone, name] = (
+            lines.append(
                 f"marker {name} of cone {cone} is {off:.1f} mm off its surface: it is not glued on it, or "
                 "was moved between the pictures of the field. Photograph the field again, or leave it out"
             )
-    lines, told = [], set()
-    for (cone, name), place in where.items():
-        back = [m for (c, m), p in where.items() if (c, p) == (place, cone)]
-        if back and (cone, name) not in told:
-            told |= {(place, m) for m in back}
-            lines.append(
-                f"marker {name} is stated for cone {cone} but lies on {place}, and marker {', '.join(back)} "
-                f"is stated for {place} but lies on {cone}: they are swapped, and take no part. Exchange the "
-                "sheets and photograph the field again, or leave them out of the description of the field"
-            )
-        elif (cone, name) not in told:
-            lines.append(
-                f"marker {name} is stated for cone {cone} but lies on {place}, and takes no part. Correct "
-                f"the markers of {cone} and {place} in the description of the field"
-            )
-    return [*lines, *bad.values()]
+    return lines
 
 
 def cone_table(cones: Mapping[str, Cone]) -> pd.DataFrame:

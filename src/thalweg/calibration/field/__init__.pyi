@@ -30,6 +30,7 @@ from .job import (
 from .network import (
     FieldNetwork as FieldNetwork,
     Start as Start,
+    agreeing as agreeing,
     measure_field as measure_field,
     misfit_px as misfit_px,
     network_of as network_of,

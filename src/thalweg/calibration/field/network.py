@@ -63,6 +63,8 @@ _LEAST_WIDTH_OF_SHEETS: Final = 0.05
 """Width of the aligned sheets' layout over their distance: in one line they leave a turn free."""
 
 _MOST_TRIPLES: Final = 2000
+_ALL_TRIPLES: Final = 40
+"""Places of which all triples are listed, to choose from."""
 _LEAST_WIDTH_OF_TARGETS: Final = 0.02
 """Width over length of three targets below which they leave a turn of the field free."""
 _SCALES: Final = (0.6, 1.6)
@@ -782,17 +784,17 @@ def approximate_place(a: ArrayF, b: ArrayF, *, scaled: bool) -> tuple[float, Rig
 def agreeing(
     pcs: ArrayF, wcs: ArrayF, tolerance_m: ArrayF, *, scaled: bool = False
 ) -> tuple[ArrayB, ArrayF, float]:
-    """Targets that the place of most targets agrees with.
+    """Places that the similarity of most places agrees with, as targets of a field or points of a block.
 
     Parameters
     ----------
-    pcs, wcs : (n, 3) targets in the field and by RTK.
-    tolerance_m : (n,) distance up to which a target agrees.
-    scaled : the scale of the field is free.
+    pcs, wcs : (n, 3) the same places in two frames, as targets in the field and by RTK.
+    tolerance_m : (n,) distance up to which a place agrees.
+    scaled : the scale between both is free.
 
     Returns
     -------
-    (n,) which agree, (n, 3) RTK minus field [m], and the factor of the scale.
+    (n,) which agree, (n, 3) wcs minus what the similarity makes of pcs [m], and the factor of the scale.
     """
     best: tuple[int, float] | None = None
     kept: AnyArray = np.zeros(len(pcs), np.bool_)
@@ -816,7 +818,11 @@ def distances_words(names: Sequence[str], off_m: ArrayF) -> str:
 
 def _triples(places: ArrayF) -> list[AnyArray]:
     """Indices of triples that span a triangle; an even choice of them if there are very many."""
-    every = np.array(list(combinations(range(len(places)), 3)), dtype=np.int64).reshape(-1, 3)
+    n = len(places)
+    if n <= _ALL_TRIPLES:
+        every = np.array(list(combinations(range(n), 3)), dtype=np.int64).reshape(-1, 3)
+    else:  # evenly over the places: neighbours give poor triples
+        every = np.random.default_rng(n).random((_MOST_TRIPLES, n)).argpartition(3, axis=1)[:, :3]
     chosen = every[:: max(1, -(-len(every) // _MOST_TRIPLES))]
     three = places[chosen]
     size = np.linalg.svd(three - three.mean(axis=1, keepdims=True), compute_uv=False)

@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -252,7 +252,6 @@ class Expected:
     R_wcs_ccs: ArrayF
     t_s: ArrayF
     sigma_m: float = 0.0
-    notes: list[str] = field(default_factory=list)
 
     @classmethod
     def of(cls, block: ImageBlock, predictions: ImagePoses | None) -> "Expected":

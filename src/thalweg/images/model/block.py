@@ -13,6 +13,7 @@ from typing import Final, Self
 
 import numpy as np
 
+from thalweg.calibration.field import agreeing
 from thalweg.core import (
     AnyArray,
     ArrayB,
@@ -41,7 +42,6 @@ _LINE_SHARE: Final = 0.01
 """Spread across the longest direction, as a share of that along it, below which points are a line."""
 _CROSSED: Final = 0.3
 """Distance of two points from each other's coordinates, as a share of their own: swapped up to it."""
-_MOST_TRIPLES: Final = 2000
 _MOST_PAIRS: Final = 150
 _LEAST_ANGLE_RAD: Final = 0.003
 """Rays that meet within so much are never called wrong: two pixels of a wide lens."""
@@ -310,9 +310,8 @@ def robust_similarity(
 ) -> Similarity:
     """Similarity between points of which some may be wrong.
 
-    All triples, or an evenly spread choice of them, are tried; the one that most points fit wins, and the
-    fitting points are adjusted together. Points that do not fit are named with their misfit, and pairs whose
-    names look swapped.
+    The similarity of three that most points agree with wins, and the fitting points are adjusted together.
+    Points that do not fit are named with their misfit, and pairs whose names look swapped.
 
     Parameters
     ----------
@@ -341,17 +340,8 @@ def robust_similarity(
             )
     extent = float(np.linalg.norm(np.ptp(target, axis=0)))
     tolerance = max(_LEAST_FIT_M, _FIT_SHARE * extent) if tolerance_m is None else tolerance_m
-    best, fits = -1.0, np.ones(n, np.bool_)
-    for triple in _triples(n):
-        chosen = list(triple)
-        if spread_share(source[chosen]) < 5 * _LINE_SHARE or spread_share(target[chosen]) < 5 * _LINE_SHARE:
-            continue
-        off = _misfit(fit_points(source[chosen], target[chosen], scaled=True), source, target)
-        good = off < tolerance
-        score = float(np.maximum(1.0 - np.square(off / tolerance), 0.0).sum())
-        if good.sum() >= 3 and score > best:
-            best, fits = score, good
-    if best < 0 or fits.sum() < max(3, n / 2):
+    fits = agreeing(source, target, np.full(n, tolerance), scaled=True)[0]
+    if fits.sum() < max(3, n / 2):
         found = fit_points(source, target, scaled=True)
         off = _misfit(found, source, target)
         worst = int(np.argmax(off))
@@ -392,16 +382,6 @@ def swapped(
         for i, j in combinations(wrong.tolist(), 2)
         if crossed(i, j) < tolerance_m
     ]
-
-
-def _triples(n: int) -> list[tuple[int, int, int]]:
-    triples = list(combinations(range(n), 3)) if n <= 40 else []
-    if not triples:
-        # evenly over the points: neighbours give poor triples
-        rng = np.random.default_rng(n)
-        triples = [tuple(sorted(rng.choice(n, 3, replace=False).tolist())) for _ in range(_MOST_TRIPLES)]
-    step = max(1, len(triples) // _MOST_TRIPLES)
-    return triples[::step]
 
 
 def _misfit(found: tuple[ArrayF, ArrayF, ArrayF], source: ArrayF, target: ArrayF) -> ArrayF:
