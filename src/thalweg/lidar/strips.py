@@ -478,7 +478,7 @@ class _Task:
         centre, normal, axes = planes.centre_m[which], normals[which], planes.axes[which]
         errs = y[6 * self.n_spans + SCANNER :]
         moved = errs[:3] + np.cross(errs[3:], self.stable_arm)
-        near = cKDTree(self.stable - moved).query_ball_point(centre, CELL_M / 2)
+        near: Any = cKDTree(self.stable - moved).query_ball_point(centre, CELL_M / 2)
         owner = np.repeat(np.arange(len(which)), [len(each) for each in near])
         k = np.concatenate([np.empty(0, np.int64), *near]).astype(np.int64)
         from_centre = self.stable[k] - moved[k] - centre[owner]
