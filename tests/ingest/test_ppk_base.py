@@ -101,8 +101,8 @@ def replace_scan(**changes: Any) -> Any:
 def test_the_base_of_sbp_logs_is_the_median_of_what_they_state(tmp_path: Path) -> None:
     options = PpkOptions(base_source="from_sbp")
     scan = replace_scan(antenna_delta_hen_m=(0.0, 0.0, 0.0))
-    rows = BASE + np.outer([0.0, 0.0, 0.004, 0.0, 0.0], EAST)
-    rows[4] = 0.0  # not yet set
+    rows = BASE + np.outer([0.004, 0.0, 0.0, 0.0, 0.0], EAST)
+    rows[3:] = [[1000.0] * 3, [0.0] * 3]  # inside the earth, not yet set
 
     def found(*logs: np.ndarray) -> tuple[np.ndarray, list[str]]:
         rover, base = (

@@ -246,16 +246,20 @@ def test_files_that_overlap_or_split_a_message(tmp_path: Path) -> None:
         np.testing.assert_array_equal(log.positions["t_gps_s"], whole.positions["t_gps_s"])
         assert log.report.clean
     assert overlap.report.counts["positions_repeated_dropped"] == 4
-    assert read_sbp([tmp_path / "log0", tmp_path / "log1"], chunk_bytes=17).report.clean
+    pieces = read_sbp([tmp_path / "log0", tmp_path / "log1"], chunk_bytes=17).report
+    assert pieces.clean
+    assert pieces.details == split.report.details
 
 
 def test_gaps_and_unknown_types(tmp_path: Path) -> None:
     data = b"".join(gps(TOW + k) + llh(TOW + k) for k in (0, 100, 200, 900, 1000))
-    log = read(tmp_path, data + sbp(0xFFF0, b"abc") + sbp(sm.POS_LLH, b"abc") + sbp(sm.OBS, b"abc"))
+    data += sbp(0xFFF0, b"abc") + sbp(sm.POS_LLH, b"abc") + sbp(sm.OBS, b"abc")
+    log = read(tmp_path, data + sbp(sm.OBS, obs(TOW)[6:-2] + b"more"))  # no whole number of signals
     assert [g.lost for g in log.report.gaps] == [6]
     assert log.report.counts["messages_of_unknown_type"] == 1
-    assert log.report.losses == {"messages_of_wrong_size": 2}
+    assert log.report.losses == {"messages_of_wrong_size": 3}
     assert any("0xFFF0 (1)" in note for note in log.report.notes)
+    assert not any("signals" in what for what in log.report.details)
 
 
 def test_tables_fit_their_kinds(tmp_path: Path) -> None:
