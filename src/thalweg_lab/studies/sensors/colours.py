@@ -241,7 +241,7 @@ def river_colours(folder: Path, seed: int) -> dict[float, tuple[float, float]]:
     all files err in common, as those of a block do: by `SIGMA_M`, and about each axis by `ATTITUDES_DEG`.
     """
     rng, config = generator(seed, "river colours"), TwinConfig.of_size("tiny")
-    settings = TwinDualFisheye(images=5, hull=False)
+    settings = TwinDualFisheye(images=5)
     rig = RigSettings.model_validate(
         {"mount": {"omega_deg": -90.0, "kappa_deg": 180.0, "lever_ics_m": [-0.25, 0.1, -0.9]}}
     )
