@@ -197,6 +197,8 @@ def add_survey_commands(commands: Commands) -> None:
             "strips.sigma_stable_m": "--sigma-stable",
             "strips.sigma_stable_shift_m": "--sigma-stable-shift",
             "logs.stable": "--stable",
+            "campaign.crs": "--crs",
+            "images.control.crs": "--crs",
             **of_a_campaign(["strips.max_knots", "strips.sigma_range_m"]),
             **OF_A_LOG,
         },
