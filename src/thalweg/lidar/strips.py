@@ -98,6 +98,8 @@ TUKEY_LIMIT: Final = 4.685
 LONGEST_KNOT_S: Final = 2.0
 LEAST_SIGMA: Final = 1e-9
 """Of an unknown that is not asked for."""
+MOST_POINTS: Final = 2_000_000
+"""Of longer logs a half, a quarter ... of the points is kept, so that memory grows with the knots alone."""
 A_CELL: Final = 4
 SAME_S: Final = 0.5
 """Points of a cell and so many seconds that are kept: the scatter of more is roughness that they share."""
@@ -312,7 +314,7 @@ def thin_log(
     ----------
     reader, clock, trajectory, settings : as for `thalweg.lidar.cloud.georeference_log`.
     """
-    parts = [np.empty((0, 6))]
+    parts, share = [np.empty((0, 6))], 1.0
     rng = np.random.default_rng(1)
     for block in steps(reader.points(clock, max_points=settings.chunk_points), "strips, block"):
         rows = kept_points(block, trajectory, settings)
@@ -325,7 +327,11 @@ def thin_log(
         order = order[np.argsort(cell[order], kind="stable")]
         first = np.flatnonzero(np.diff(cell[order], prepend=-1))
         turn = np.arange(len(cell)) - np.repeat(first, np.diff(first, append=len(cell)))
-        parts.append(rows[np.sort(order[turn < A_CELL])])
+        found = rows[np.sort(order[turn < A_CELL])]
+        parts.append(found if share == 1.0 else found[rng.random(len(found)) < share])
+        while sum(map(len, parts)) > MOST_POINTS:
+            share /= 2
+            parts = [part[rng.random(len(part)) < 0.5] for part in parts]
     rows = np.concatenate(parts)
     return LogSample(xyz_wcs_m=rows[:, :3], t_gps_s=rows[:, 3], range_m=rows[:, 4], reflectivity=rows[:, 5])
 
