@@ -81,7 +81,9 @@ def simulate_dual_fisheye(
             world,
             rays,
             waves=waves,
-            boat=OwnBoat.seen(rays, on_boat, lenses[name], waterline_m=config.boat.height_m),
+            boat=OwnBoat.seen(rays, on_boat, lenses[name], waterline_m=config.boat.height_m)
+            if settings.hull
+            else None,
             glare=settings.glare,
             supersampling=settings.supersampling,
         ).see

@@ -898,6 +898,7 @@ class TwinDualFisheye(Section):
     supersampling: int = Field(
         default=2, ge=1, le=4, description="Rays along each side of a pixel where something ends in it"
     )
+    hull: bool = Field(default=True, description="The own boat in view")
 
 
 # ---------------------------------------------------------------- section ``twin``

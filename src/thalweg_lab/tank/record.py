@@ -182,6 +182,7 @@ def trigger(
     rate_hz: float = 10.0,
     clock_offset_s: float = 3.417,
     jitter_s: float = 0.002,
+    lost: int = 0,
 ) -> Trigger:
     """Pulses and stamps of a series.
 
@@ -191,13 +192,14 @@ def trigger(
 
     Parameters
     ----------
-    seed : of the campaign; the stream is ``light sheet <name> clock``.
+    seed : of the campaign; the streams are ``light sheet <name> clock`` and ``... lost pulses``.
     t_s : (n,) planned times after the start, growing.
     start_gps_s : adjusted standard GPS time of the start.
     name : of the series.
     rate_hz : of the divider.
     clock_offset_s : what the camera's clock is ahead of UTC.
     jitter_s : standard deviation of its stamps.
+    lost : number of pulses that were not recorded, never at an end.
     """
     n = len(t_s)
     rest = np.ceil(2.5 * np.median(np.diff(t_s)) * rate_hz) / rate_hz if n > 1 else 0.0
@@ -205,8 +207,12 @@ def trigger(
     at = np.ceil(start_gps_s) + np.rint(planned * rate_hz) / rate_hz
     noise = generator(seed, f"light sheet {name} clock").standard_normal(n)
     shown = unix_from_gps(at) + clock_offset_s + jitter_s * noise
+    kept = np.ones(n, dtype=np.bool_)
+    if lost and n > lost + 2:
+        rng = generator(seed, f"light sheet {name} lost pulses")
+        kept[1 + rng.choice(n - 2, lost, replace=False)] = False
     stamp = np.rint(shown * 1e3).astype(np.int64) * 1000
-    return Trigger(t_gps_s=at, pulse_gps_s=at, stamp_us=stamp)
+    return Trigger(t_gps_s=at, pulse_gps_s=at[kept], stamp_us=stamp)
 
 
 def image_name(stamp_us: int) -> str:

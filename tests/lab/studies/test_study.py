@@ -85,4 +85,4 @@ def test_every_study_of_the_repository_can_be_run(repository: Path) -> None:
         assert {table["file"] for table in entry["tables"].values()} <= files
         assert all((repository / file).is_file() for file in entry.get("inputs", []))
         found += 1
-    assert found == 19
+    assert found == 17
