@@ -56,7 +56,7 @@ def main(
     found = adjust_strips(points, poses, how.mount, chains, strips, surfaces)
     found.write(facts.parent)
     write_mounts(mounts_strips, mounts_by_strips(sensors, found))
-    strips_page(found, title=f"Strips: {title}", twin=twin, notes=notes).write(page)
+    strips_page(found, title=f"Overlapping lidar strips: {title}", twin=twin, notes=notes).write(page)
 
 
 if "snakemake" in globals():

@@ -101,7 +101,9 @@ def head(facts: Mapping[str, Any], statistics: pd.DataFrame) -> tuple[str, list[
     if np.isfinite(after):
         findings.append(Finding("RMSE after a rigid registration", centimetres(after)))
     caution = f"Caution: {facts['warning']}. " if facts.get("warning") else ""
-    lead = f"The cloud lies {centimetres(rmse)} (RMSE) from the reference; its standard deviations: {told}."
+    predicted = centimetres(value_of(statistics, "predicted_rmse"))
+    lead = f"The cloud by INS and GNSS lies {centimetres(rmse)} (RMSE) from the reference, "
+    lead += f"with {predicted} predicted: {told}."
     return caution + lead, findings
 
 

@@ -59,7 +59,7 @@ BY_NAME: Final = {
     "ins": "the INS",
     "camera": "the camera",
     "fused": "the fused trajectory",
-    "strips": "the strips",
+    "strips": "the trajectory by strips",
 }
 
 

@@ -204,7 +204,7 @@ def strip_page(
     pictures: Pictures,
     *,
     captions: Mapping[str, str],
-    title: str = "Strip of the bed",
+    title: str = "Bed strip by light sheet",
     twin: bool = False,
 ) -> Page:
     """The page on a strip of the bed under the boat.
