@@ -139,10 +139,8 @@ def chain_histograms(
     for name in names:
         _draw_histogram(left, distances[name], ~used[name]["outlier"].to_numpy(bool), name, limit)
         _draw_normalised(right, normalised_distances(used[name]), name)
-    beyond = ", ".join(
-        f"{IN_WORDS[k]} {100 * np.mean(np.abs(d) > limit):.1f} %" for k, d in distances.items()
-    )
-    left.set_title(f"a: all points; beyond the axis: {beyond}")
+    beyond = ", ".join(f"{IN_WORDS[k]} {100 * np.mean(np.abs(d) > limit):.1f}" for k, d in distances.items())
+    left.set_title(f"a: all points\nbeyond the axis: {beyond} %")
     left.set_xlim(-100 * limit, 100 * limit)
     left.set_xlabel("behind  \N{LEFTWARDS ARROW}   signed distance / cm   \N{RIGHTWARDS ARROW}  in front")
     left.set_ylabel("share per centimetre / %")
