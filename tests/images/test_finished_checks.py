@@ -77,6 +77,20 @@ def test_a_wrong_mount_is_refused(tmp_path: Path, truth: Scene, rng: np.random.G
         )
 
 
+@pytest.mark.parametrize(("turned_deg", "told"), [(6.0, True), (0.3, False)])
+def test_attitudes_off_by_more_than_their_prediction_may_be_are_told(
+    tmp_path: Path, truth: Scene, rng: np.random.Generator, turned_deg: float, told: bool
+) -> None:
+    """Another north, for example: below the limit of refusal, above chance."""
+    turned = Scene(
+        truth.images, truth.C, truth.R @ exp_rotation(np.array([0.0, np.deg2rad(turned_deg), 0.0]))
+    )
+    path = write_colmap_text(tmp_path / "m", truth.images, turned.C, turned.R)
+    given = predictions(truth, rng, sigma_m=0.3, sigma_deg=0.2)
+    notes = import_orientations([path], given, settings(crs="world")).facts["notes"]
+    assert any("degrees away from the predicted ones" in note for note in notes) == told
+
+
 def test_small_errors_of_the_prediction_are_no_mistake(
     tmp_path: Path, truth: Scene, rng: np.random.Generator
 ) -> None:

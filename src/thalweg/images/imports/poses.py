@@ -76,6 +76,8 @@ Lens = tuple[int, str, tuple[int, int], Sequence[float]]
 _SIGMAS: Final = 4.0
 _GEOID_M: Final = (15.0, 110.0)
 """Heights of geoids above the ellipsoid are within +-107 m; below 15 m other causes are likelier."""
+_ANGLE_RAD: Final = np.deg2rad(1.0)
+"""Attitudes that are farther from their prediction on the whole are told."""
 _LEVEL_M: Final = 3.0
 _CHECK_PLACE: Final = (
     "Check images.finished.crs (`world` for the world frame, EPSG:4326 for degrees), order and unit of the "
@@ -674,6 +676,12 @@ def check_poses(
             cure="Check what the rotations of the file mean (images.finished.angle_unit, rotation, "
             "direction, axes, north), the mount of the camera and its clock, by which the prediction "
             "goes; images.finished.most_angle_deg is the limit",
+        )
+    typical, sigma = float(np.median(turn)), predicted.sigma_rad
+    if typical > max(_ANGLE_RAD, _SIGMAS * sigma):
+        notes.append(
+            f"attitudes a median of {np.rad2deg(typical):.1f} degrees away from the predicted ones, whose "
+            f"standard deviation is {np.rad2deg(sigma):.1f}: check north and axes of the angles, and the mount"
         )
     for what, values, limit, unit in (
         ("m", away, predicted.limit_m, 1.0),
