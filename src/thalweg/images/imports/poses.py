@@ -681,7 +681,7 @@ def check_poses(
     if typical > max(_ANGLE_RAD, _SIGMAS * sigma):
         notes.append(
             f"attitudes a median of {np.rad2deg(typical):.1f} degrees away from the predicted ones, whose "
-            f"standard deviation is {np.rad2deg(sigma):.1f}: check north and axes of the angles, and the mount"
+            f"standard deviation is {np.rad2deg(sigma):.1f}: check north, axes of the angles, and the mount"
         )
     for what, values, limit, unit in (
         ("m", away, predicted.limit_m, 1.0),
