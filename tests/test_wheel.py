@@ -92,7 +92,7 @@ def test_commands_run_from_the_wheel(python: Path, repository: Path, tmp_path: P
     assert "NMEA" in described.stdout
     budget = run(python, "budget", str(repository / "resources/budgets/p2_table1.yaml"), folder=tmp_path)
     assert budget.returncode == 0, budget.stderr
-    assert "total                      39.0" in budget.stdout
+    assert "total                        39.0" in budget.stdout
 
 
 def test_a_campaign_runs_in_a_new_folder(python: Path, tmp_path: Path) -> None:

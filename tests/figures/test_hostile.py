@@ -93,7 +93,7 @@ def made_of(text: str, folder: Path) -> dict[str, Path]:
     report.write(folder / "front/lidar.integrity.json")
     results = [*list(found.values())[:2], folder / "front/summary.csv", folder / "front/lidar.integrity.json"]
     write_front_page(
-        page=found["front"], title=text, twin=True, crs=text, results=results, lacking=[(text, text)],
+        page=found["front"], title=text, twin=True, crs="EPSG:25833", results=results, lacking=[(text, text)],
         pictures=[folder / "p.png"], figures={"p": (text, text)},
     )  # fmt: skip
     points = np.random.default_rng(1).uniform(0, 9, (3000, 3))

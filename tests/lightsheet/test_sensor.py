@@ -7,7 +7,7 @@ import pytest
 
 from thalweg.core import Camera, GeometryError, InputError, ThalwegError, rotation_opk
 from thalweg.core.calibration import Source
-from thalweg.ingest.registry.calibrations import describe_calibration
+from thalweg.ingest.registry import describe
 from thalweg.lightsheet.optics import (
     PARAMETERS,
     RESOURCES,
@@ -125,7 +125,7 @@ def test_a_pose_of_the_file_is_that_of_the_sensor() -> None:
 
 
 def test_describe_prints_it() -> None:
-    lines = describe_calibration("calibration", RESOURCES / "paper_4.yaml").lines()
+    lines = describe(RESOURCES / "paper_4.yaml").lines()
     assert any("sheet_laser" in line for line in lines)
     assert any("n_water" in line and "1.3350 ± 0.0010" in line for line in lines)
 

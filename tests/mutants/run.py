@@ -316,7 +316,7 @@ class Judge(Stop):
         gc.unfreeze()
         self.loaded = defaultdict[str, list[FunctionType]](list)
         for each in gc.get_objects():
-            if isinstance(each, FunctionType):
+            if type(each) is FunctionType:  # not by isinstance, which asks dead weak references
                 self.loaded[each.__code__.co_filename].append(each)
         gc.freeze()
         tables = self.tables()

@@ -68,7 +68,7 @@ def test_errors_against_the_truth_are_what_the_sigmas_say(yard) -> None:
 def test_the_page_shows_every_picture(yard) -> None:
     page = (yard.root / "results/field_tiny/calibration/index.html").read_text()
     pictures = sorted((yard.root / "results/field_tiny/figures").glob("*.png"))
-    assert len(pictures) == 10
+    assert len(pictures) == 9
     assert page.count("data:image/png;base64") >= len(pictures)
     assert "digital twin" in page
     for path in pictures:

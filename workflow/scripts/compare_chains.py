@@ -32,9 +32,9 @@ def main(
     chains_by_range_csv: Path,
     facts: Path,
 ) -> None:
-    """Lists are in the order of `CHAINS`; those of the comparison are empty where there is no reference."""
+    """Lists are in the order of `CHAINS`, strips only where they were adjusted; those of the comparison are empty where there is no reference."""
     found = []
-    for k, name in enumerate(CHAINS):
+    for k, name in enumerate(CHAINS[: len(trajectories)]):
         table, compared = read_table(distances[k], CLOUD_TO_MESH) if distances else (None, None)
         found.append(
             Chain(

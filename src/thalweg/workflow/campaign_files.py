@@ -1223,7 +1223,7 @@ class CampaignFiles:
         if self.has_time_lapse():
             outputs.append(self.trajectory("fused"))
         if self.has_time_lapse() and lidar:
-            outputs += self.of_chains("lidar", "points.laz")[1:]
+            outputs += self.of_chains("lidar", "points.laz")[1:3]
             outputs.append(self._result("accuracy/trajectories.html"))
         outputs += self.aligned_strips()
         outputs += self._where(self.is_coloured(), "lidar/coloured.laz")

@@ -110,7 +110,7 @@ def image_positions(
         raise GeometryError(f"none of {len(poses.images)} images has a pose", expected="at least one")
     points = _with_places(control, report)
     centres = poses.centre_wcs_m[poses.oriented]
-    measured = points[np.isfinite(points["without_east_mm"].to_numpy())]
+    measured = points[np.isfinite(points["without_east_mm"].to_numpy(np.float64))]
     shown = [centres[:, :2], points[["east_m", "north_m"]].to_numpy()]
     low, high = map_extent(np.concatenate(shown), None)
     scale = _scale(measured, float(high[0] - low[0]))
