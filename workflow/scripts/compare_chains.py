@@ -32,7 +32,10 @@ def main(
     chains_by_range_csv: Path,
     facts: Path,
 ) -> None:
-    """Lists are in the order of `CHAINS`, strips only where they were adjusted; those of the comparison are empty where there is no reference."""
+    """Lists are in the order of `CHAINS`, strips only where they were adjusted.
+
+    Those of the comparison are empty where there is no reference.
+    """
     found = []
     for k, name in enumerate(CHAINS[: len(trajectories)]):
         table, compared = read_table(distances[k], CLOUD_TO_MESH) if distances else (None, None)

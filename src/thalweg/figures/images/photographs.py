@@ -110,7 +110,7 @@ def image_positions(
         raise GeometryError(f"none of {len(poses.images)} images has a pose", expected="at least one")
     points = _with_places(control, report)
     centres = poses.centre_wcs_m[poses.oriented]
-    measured = points[np.isfinite(points["without_east_mm"].to_numpy(np.float64))]
+    measured = points[np.isfinite(points["without_east_mm"].to_numpy())]
     shown = [centres[:, :2], points[["east_m", "north_m"]].to_numpy()]
     low, high = map_extent(np.concatenate(shown), None)
     scale = _scale(measured, float(high[0] - low[0]))
@@ -158,7 +158,9 @@ def _with_places(control: ControlPoints, report: pd.DataFrame) -> pd.DataFrame:
     place = pd.DataFrame(control.points_wcs_m[:, :2], columns=["east_m", "north_m"]).assign(
         point=np.array(control.names, object)
     )
-    return report.assign(point=report["point"].astype(str)).merge(place, on="point")
+    # a table without points has columns without a type
+    typed = {"point": report["point"].astype(str), "without_east_mm": report["without_east_mm"].astype(float)}
+    return report.assign(**typed).merge(place, on="point")
 
 
 def _draw_images(figure: Figure, ax: Axes, poses: ImagePoses, trajectory: Trajectory | None) -> None:
