@@ -159,8 +159,9 @@ def _with_places(control: ControlPoints, report: pd.DataFrame) -> pd.DataFrame:
         point=np.array(control.names, object)
     )
     # a table without points has columns without a type
-    typed = {"point": report["point"].astype(str), "without_east_mm": report["without_east_mm"].astype(float)}
-    return report.assign(**typed).merge(place, on="point")
+    east_mm = report["without_east_mm"].astype(float)
+    typed = report.assign(point=report["point"].astype(str), without_east_mm=east_mm)
+    return typed.merge(place, on="point")
 
 
 def _draw_images(figure: Figure, ax: Axes, poses: ImagePoses, trajectory: Trajectory | None) -> None:
