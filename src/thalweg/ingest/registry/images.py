@@ -92,6 +92,7 @@ def _table(kind: str, words: str, stream: str, keys: str) -> Format:
     """A table that belongs to photographs, in ``keys`` of a campaign file."""
 
     def told(kind: str, files: list[Path], options: dict[str, Any]) -> PositionLog:
+        """What the table holds, in lines for a terminal."""
         text, notes = read_text(files[0])
         report = CalibrationReport.of("images", words, files[:1], notes=notes)
         if kind.startswith("metashape"):
