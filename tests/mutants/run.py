@@ -55,6 +55,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
 from functools import cache
+from itertools import pairwise
 from pathlib import Path
 from types import CodeType, FrameType, FunctionType
 from typing import Any, Final
@@ -383,7 +384,7 @@ class Judge(Stop):
         self.stops = False
         table = {}
         own = [item for name, item in self.items.items() if name.split("::")[0] == run.target.tests[0]]
-        for item, following in zip(own, [*own[1:], None], strict=True):
+        for item, following in pairwise([*own, None]):
             began_s = time.process_time()
             self.tracers.noted(begin=True)
             item.config.hook.pytest_runtest_protocol(item=item, nextitem=following)
@@ -399,7 +400,7 @@ class Judge(Stop):
                 if function.__code__ == old:
                     function.__code__ = new
         chosen = [self.items[test] for test in run.tests]
-        for item, following in zip(chosen, [*chosen[1:], None], strict=True):
+        for item, following in pairwise([*chosen, None]):
             item.config.hook.pytest_runtest_protocol(item=item, nextitem=following)
         return 0
 

@@ -314,7 +314,8 @@ def _pulled(turn, place, R, shift, points, which, table, width):  # type: ignore
             if row[1] == 1:
                 if abs(across) < row[14] and abs(along) < row[15] and abs(z) < abs(best):
                     best = z
-                    normal[:] = row[5:8]
+                    for j in range(3):
+                        normal[j] = row[5 + j]
                 continue
             for j in range(3):
                 d[j] -= z * row[5 + j]

@@ -322,7 +322,8 @@ def _members(
                 if abs(along) <= length and dx * dx + dy * dy + dz * dz - along * along <= r * r:
                     if many == len(found):
                         larger = np.empty(2 * many, np.int64)
-                        larger[:many] = found
+                        for i in range(many):  # a slice takes numba three seconds longer to compile
+                            larger[i] = found[i]
                         found = larger
                     found[many] = k
                     many += 1

@@ -181,7 +181,8 @@ def _take(buf: ArrayU8, a: int, b: int, link: int, t_s: float, sinks: Sinks, k: 
         tally[_CUT] += 1
         _note_cut(tally, b - a, u + 8 + size - a)
         return k
-    sinks.out[k, :] = (u + 8, wanted, tally[_RECORD] - 1, _u32(buf, o + 12, True))
+    row = sinks.out[k]  # one by one: a tuple into a slice takes numba five seconds to compile
+    row[0], row[1], row[2], row[3] = u + 8, wanted, tally[_RECORD] - 1, _u32(buf, o + 12, True)
     sinks.out_t[k] = t_s
     return k + 1
 
@@ -361,7 +362,8 @@ def walk_bare(
             sound = o + 2 * size > n or _marks_at(buf, o + size, marks, mark) == marks.size
             if 2 * hits < marks.size or not sound:
                 return BAD, o, last, k
-        sinks.out[k, :] = (o, 0, sinks.tally[_RECORD], 0)
+        row = sinks.out[k]
+        row[0], row[1], row[2], row[3] = o, 0, sinks.tally[_RECORD], 0
         sinks.out_t[k] = np.nan
         sinks.tally[_RECORD] += 1
         k += 1
