@@ -69,8 +69,7 @@ def test_nothing_is_silently_lost(good: tuple[object, CameraLidar]) -> None:
     np.testing.assert_array_equal(table[parts].sum(axis=1), table["predicted"])
     unseen = table[~table["found"]]
     assert set(unseen["cone"]) == {"C7", "C8"}
-    assert unseen["reason"].str.startswith("outside the lidar's view").all()
-    assert unseen["reason"].str.contains("Set it up in that plane, beside the boat").all()
+    assert unseen["reason"].str.startswith("no beam meets it: it stands outside").all()
     used = table[table["found"]].set_index(["position", "cone"])["used"]
     residuals = result.residuals.set_index(["position", "cone"])
     np.testing.assert_array_equal(residuals["points"], used.loc[residuals.index])
@@ -240,7 +239,7 @@ def test_scans_of_another_field_are_refused() -> None:
 def test_a_single_cone_is_refused(which: list[int]) -> None:
     y = Yard(seed=4, frames=2)
     settings = CameraLidarSettings(within=SearchRange(tries=500))
-    with pytest.raises(UnobservableError, match="a turn of the lidar about the axis of C1") as caught:
+    with pytest.raises(UnobservableError, match=r"do not determine .*rotation") as caught:
         calibrate_camera_lidar([y.references()[i] for i in which], y.positions(1), NOMINAL, settings)
     assert "The lidar sees C1 only" in str(caught.value)
     assert "Add a cone" in str(caught.value)

