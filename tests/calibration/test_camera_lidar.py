@@ -9,7 +9,7 @@ from scipy.stats import chi2
 
 from tests.bands import band
 from tests.calibration import cone_yard as yard
-from thalweg.calibration import WORDS, Cone, Position, SearchRange, Verdict, fit_reference, search
+from thalweg.calibration import Cone, Position, SearchRange, fit_reference, search
 from thalweg.calibration.camera_lidar import (
     CameraLidar,
     CameraLidarSettings,
@@ -96,22 +96,6 @@ def test_tables_for_people(good: tuple[object, CameraLidar]) -> None:
     assert np.linalg.norm(apart) == pytest.approx(np.linalg.norm(result.T_ccs_scs.shift_m))
 
 
-def known(y, positions: int = 3, **settings) -> CameraLidar:
-    """Without the search, from near the truth."""
-    start = y.truth.moved([0.005, -0.005, 0.003, 0.003, -0.002, 0.004])
-    given = CameraLidarSettings(within=None, **settings)
-    return calibrate_camera_lidar(y.references(), y.positions(positions), start, given)
-
-
-def test_sigmas_are_consistent_over_seeds() -> None:
-    squares = [
-        square(known(y, 1), y.truth) for y in (Yard(seed=100 + s, frames=2, near_m=2.0) for s in range(4))
-    ]
-    # four seeds with six degrees of freedom, 99 %
-    low, high = chi2.ppf([0.005, 0.995], 24) / 24
-    assert low < np.mean(squares) / 6 < high
-
-
 def test_no_mean_residual_stays_on_curved_surfaces() -> None:
     """Sixty revolutions, sharp marks: means to 0.2 mm, where ranges on a cone are 0.6 mm too long.
 
@@ -125,22 +109,6 @@ def test_no_mean_residual_stays_on_curved_surfaces() -> None:
     assert len(table) == 18
     # 18 means, 99.9 %; found 0.5. Without the excess of the ranges 5.3, with its sign turned 18
     assert np.mean((table["mean_mm"] / table["sigma_mean_mm"]) ** 2) < chi2.ppf(0.999, 18) / 18
-
-
-def test_42_parameters_with_fixed_exterior_orientation() -> None:
-    """P2 3.1: six for each of six cones and six for the relative orientation."""
-    y = Yard(seed=5, sigma_pose_m=0.0, sigma_pose_deg=0.0)
-    result = known(y, 1)
-    assert len(result.adjusted.names) == 42
-    assert result.adjusted.names[-6:] == (
-        "lever_x",
-        "lever_y",
-        "lever_z",
-        "rotation_x",
-        "rotation_y",
-        "rotation_z",
-    )
-    assert square(result, y.truth) < LIKELY
 
 
 def test_the_lidar_itself_in_the_field() -> None:
@@ -221,17 +189,6 @@ def test_the_search_bears_decimetres_and_degrees() -> None:
     assert found.score > 0.6
 
 
-def test_scans_of_another_field_are_refused() -> None:
-    y = Yard(seed=3, frames=2)
-    empty = replace(y, there=[])
-    with pytest.raises(
-        GeometryError, match="no orientation near the nominal one brings scans and cones together"
-    ):
-        calibrate_camera_lidar(
-            y.references(), empty.positions(1), NOMINAL, CameraLidarSettings(within=SearchRange(tries=500))
-        )
-
-
 # ---------------------------------------------------------------- what geometry cannot give
 
 
@@ -252,11 +209,6 @@ def test_one_cone_from_two_orientations_is_enough() -> None:
     assert square(result, y.truth) < LIKELY
 
 
-def test_no_position_is_refused() -> None:
-    with pytest.raises(GeometryError, match="expected at least one"):
-        calibrate_camera_lidar(Yard().references(), [], NOMINAL)
-
-
 @pytest.mark.parametrize(
     ("points", "message"), [(np.zeros((0, 3)), r"shape \(0, 3\)"), (np.full((2, 3), np.nan), "not finite")]
 )
@@ -269,10 +221,6 @@ def test_empty_scans_are_refused(points: np.ndarray, message: str) -> None:
             points,
             LidarAccuracy(sigma_component_m=0.017, divergence_mrad=0.0, sigma_weak_m=0.0, sigma_time_s=0.0),
         )
-
-
-def test_verdicts_have_words() -> None:
-    assert set(WORDS) == set(Verdict) - {Verdict.AWAY}
 
 
 def test_residuals_of_a_cone_by_hand() -> None:

@@ -184,7 +184,7 @@ def test_a_cone_without_reference_is_named() -> None:
     references[2] = replace(
         references[2],
         points_m=references[2].points_m[:4],
-        cov=references[2].cov[:4],
+        cov=references[2].cov[:12, :12],
         labels=references[2].labels[:4],
     )
     result = calibrate_camera_lidar(

@@ -23,14 +23,14 @@ CONE = Cone(apex_m=np.zeros(3), axis=UP, half_angle_rad=0.3)
 SQUARE = np.array([[0.0, 0.1, 0.0], [0.1, 0.1, 0.0], [0.1, 0.0, 0.0], [0.0, 0.0, 0.0]])
 BLOCK = Block(name="a", quantities=("x_m", "y_m"), values=np.array([1.0, 2.0]), equation="x = y")
 REFERENCE = ConeReference(
-    name="c1", points_m=np.ones((5, 3)), cov=np.zeros((5, 3, 3)), half_angle_rad=0.3, length_m=0.5
+    name="c1", points_m=np.ones((5, 3)), cov=np.zeros((15, 15)), half_angle_rad=0.3, length_m=0.5
 )
 SKEWED = np.array([[1.0, 0.1], [0.2, 1.0]])
 
 GOOD: dict[Callable[..., Any], dict[str, Any]] = {
     Cone: {"apex_m": np.zeros(3), "axis": UP, "half_angle_rad": 0.3},
     ConeReference: {
-        "name": "c", "points_m": np.ones((5, 3)), "cov": np.zeros((5, 3, 3)), "half_angle_rad": 0.3,
+        "name": "c", "points_m": np.ones((5, 3)), "cov": np.zeros((15, 15)), "half_angle_rad": 0.3,
         "length_m": 0.5, "labels": tuple("abcde"),
     },
     MarkerLayout: {"dictionary": "DICT_4X4_50", "module_m": 0.012, "sizes": ((0, 3, 0.02),)},
@@ -72,7 +72,7 @@ WRONG: list[tuple[Callable[..., Any], dict[str, Any]]] = [
     )),
     *((ConeReference, each) for each in (
         {"points_m": np.ones((5, 2))}, {"cov": np.zeros((4, 3, 3))}, {"cov": np.zeros((5, 5))},
-        {"labels": tuple("abcd")}, {"points_m": np.full((5, 3), np.nan)}, {"cov": np.full((5, 3, 3), np.inf)},
+        {"labels": tuple("abcd")}, {"points_m": np.full((5, 3), np.nan)}, {"cov": np.full((15, 15), np.inf)},
     )),
     *((MarkerLayout, each) for each in (
         {"dictionary": "DICT_4X4_51"}, {"dictionary": "DICT_5X5_50"}, {"dictionary": "CORNER_REFINE_SUBPIX"},
@@ -139,13 +139,3 @@ def test_what_is_right_is_taken(make: Callable[..., Any]) -> None:
 def test_one_wrong_thing_is_enough(make: Callable[..., Any], wrong: dict[str, Any]) -> None:
     with pytest.raises((GeometryError, InputError)):
         make(**(GOOD.get(make, {}) | wrong))
-
-
-def test_a_joint_covariance_of_saddles_is_that_of_each_where_they_are_independent() -> None:
-    blocks = np.stack([np.diag([1.0, 2.0, 3.0 + k]) * 1e-8 for k in range(4)])
-    joint = np.zeros((12, 12))
-    for k in range(4):
-        joint[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] = blocks[k]
-    one, two = (phase_centre(SQUARE, C, offset_m=0.1, sigma_offset_m=0.001) for C in (blocks, joint))
-    np.testing.assert_allclose(one.cov_m2, two.cov_m2)
-    np.testing.assert_allclose(one.point_m, [0.05, 0.05, 0.1], atol=1e-12)

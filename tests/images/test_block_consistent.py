@@ -28,12 +28,6 @@ scene, normalised = block_scene.scene, block_scene.normalised
 SEEDS = 6
 FORMAL = BlockAdjustment(correlated=False, interior_variance=1.0)
 WANDERING = {"slow_px": 0.6, "reach": 0.5, "white_px": 0.1}
-OTHERS = {
-    "wandering": WANDERING,
-    "smooth": {"slow_px": 0.3, "reach": 0.08, "kernel": "smooth"},
-    "in time": {"slow_px": 0.4, "reach": 4.0, "kernel": "images", "white_px": 0.1},
-    "none": {},
-}
 
 
 def band(degrees: int) -> tuple[float, float]:
@@ -72,13 +66,6 @@ def check_consistent(effects: dict, seeds: int = SEEDS) -> None:
 
 def test_poses_are_consistent_for_errors_that_wander() -> None:
     check_consistent(WANDERING)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", OTHERS)
-def test_poses_are_consistent_for_errors_of_other_kinds(kind: str) -> None:
-    """The one above with more blocks, kernels that the model does not have, and no slow errors at all."""
-    check_consistent(OTHERS[kind], 30)
 
 
 def test_formal_sigmas_are_too_small() -> None:

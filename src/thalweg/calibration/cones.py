@@ -37,7 +37,16 @@ from typing import Final, NamedTuple, Self, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from thalweg.core import ArrayB, ArrayF, GeometryError, InputError, Rigid, beam_axes, root_mean_square
+from thalweg.core import (
+    ArrayB,
+    ArrayF,
+    GeometryError,
+    InputError,
+    Rigid,
+    beam_axes,
+    cross_matrix,
+    root_mean_square,
+)
 
 PARAMETERS: Final = ("apex_x", "apex_y", "apex_z", "axis_1", "axis_2", "half_angle")
 """Order of the parameters of a cone: metres, then radians."""
@@ -188,7 +197,7 @@ class Cone:
             self.apex_m[None], self.axis[None], self.tangents[None], np.array([self.half_angle_rad]), points
         )
         distance, normal, slant, e, J = (each[0] for each in several)
-        return ConePoints(distance, normal, slant, e @ _skew(self.axis).T, J)
+        return ConePoints(distance, normal, slant, e @ cross_matrix(self.axis[None])[0].T, J)
 
     def meet(self, origins_m: ArrayLike, directions: ArrayLike) -> ConeBeams:
         """Where beams enter the surface.
@@ -285,10 +294,6 @@ def _tangents(axis: ArrayF) -> ArrayF:
     return np.stack([first, np.stack([y * c - z * b, z * a - x * c, x * b - y * a], axis=1)], axis=1)
 
 
-def _skew(u: ArrayF) -> ArrayF:
-    return np.array([[0.0, -u[2], u[1]], [u[2], 0.0, -u[0]], [-u[1], u[0], 0.0]])
-
-
 def beam_spread(cone: Cone, origin_m: ArrayF, beam: ArrayF, sigma_across_m: ArrayF) -> tuple[ArrayF, ArrayF]:
     """What errors across beams do to their ranges: mean excess (n,) in metres and variance (n,) in m^2.
 
@@ -338,7 +343,7 @@ class ConeReference:
     ----------
     name : of the cone.
     points_m : (n, 3) in pcs, on the surface.
-    cov : (n, 3, 3) of the points, or (3n, 3n) with the correlations between them.
+    cov : (3n, 3n) joint covariance of the points.
     half_angle_rad : nominal half angle.
     length_m : from the apex to the end along the axis.
     labels : (n,) names of the points; their numbers by default.
@@ -361,33 +366,22 @@ class ConeReference:
         points, cov = np.asarray(self.points_m, dtype=np.float64), np.asarray(self.cov, dtype=np.float64)
         n = len(points)
         labels = self.labels or tuple(str(i) for i in range(n))
-        if points.shape != (n, 3) or cov.shape not in ((n, 3, 3), (3 * n, 3 * n)) or len(labels) != n:
+        if points.shape != (n, 3) or cov.shape != (3 * n, 3 * n) or len(labels) != n:
             raise InputError(
                 f"cone {self.name}: points {points.shape}, covariance {cov.shape}, {len(labels)} labels",
-                expected="(n, 3), (n, 3, 3) or (3n, 3n), and n",
+                expected="(n, 3), (3n, 3n), and n",
             )
         if not (np.isfinite(points).all() and np.isfinite(cov).all()):
             raise InputError(f"cone {self.name}: coordinates or covariances that are not finite")
         for name, value in (("points_m", points), ("cov", cov), ("labels", labels)):
             object.__setattr__(self, name, value)
 
-    def distance_cov(self, normals: ArrayF) -> ArrayF:
-        """Covariance (n, n) of the points' distances along normals (n, 3), with the form of the surface."""
-        n = len(normals)
-        if self.cov.ndim == 3:
-            own = np.einsum("ni,nij,nj->n", normals, self.cov, normals)
-            return np.diag(own + self.form_sigma_m**2)
-        blocks = self.cov.reshape(n, 3, n, 3)
-        return np.einsum("ai,aibj,bj->ab", normals, blocks, normals) + self.form_sigma_m**2 * np.eye(n)
-
     @property
     def sigma_m(self) -> ArrayF:
         """(n,) greatest standard deviation of each point in any direction."""
         n = len(self.points_m)
-        blocks = self.cov
-        if self.cov.ndim == 2:
-            at = np.arange(n)
-            blocks = self.cov.reshape(n, 3, n, 3)[at, :, at, :]
+        at = np.arange(n)
+        blocks = self.cov.reshape(n, 3, n, 3)[at, :, at, :]
         return np.sqrt(np.maximum(np.linalg.eigvalsh(blocks)[:, -1], 0.0))
 
 
@@ -485,15 +479,10 @@ def parameter_cov(by_points: ArrayF, cov_m2: ArrayF, form_sigma_m: float) -> Arr
     ----------
     by_points : (k, 3n) derivatives. Those of a point point along its normal, so that an error of the form is
         one of the point of the same size in all directions.
-    cov_m2 : (3n, 3n) of the points, or (n, 3, 3).
+    cov_m2 : (3n, 3n) of the points.
     form_sigma_m : independent from point to point.
     """
-    if cov_m2.ndim == 3:
-        parts = by_points.reshape(len(by_points), -1, 3)
-        cov = np.einsum("ani,nij,bnj->ab", parts, cov_m2, parts)
-    else:
-        cov = by_points @ cov_m2 @ by_points.T
-    cov = cov + form_sigma_m**2 * (by_points @ by_points.T)
+    cov = by_points @ cov_m2 @ by_points.T + form_sigma_m**2 * (by_points @ by_points.T)
     return np.asarray((cov + cov.T) / 2)
 
 

@@ -44,8 +44,6 @@ from thalweg.calibration import (
 from thalweg.calibration.camera_lidar.model import (
     FIELD,
     LIDAR,
-    POSE,
-    REFERENCE,
     FieldErrors,
     Layout,
     LidarRows,
@@ -173,9 +171,11 @@ class CameraLidar:
 
     @property
     def group_sigma0(self) -> dict[str, float]:
-        """RMS of the standardised residuals of lidar, reference points and exterior orientations."""
+        """RMS of the standardised residuals of the lidar, and of reference points with exterior "
+        "orientations.
+        """
         out = {}
-        for kind in (LIDAR, FIELD, REFERENCE, POSE):
+        for kind in (LIDAR, FIELD):
             mine = [n for n in self.adjusted.group_sigma0 if n.split(" ")[0] == kind]
             spare = sum(self.adjusted.group_redundancy[n] for n in mine)
             squares = sum(

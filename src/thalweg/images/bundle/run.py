@@ -139,16 +139,13 @@ def predicted_block(block: ImageBlock, predictions: ImagePoses | None) -> ImageB
 
     An image without a prediction keeps its pose relative to the nearest one that has one.
     """
-    if predictions is None:
-        return None
-    row = {name: k for k, name in enumerate(predictions.images) if predictions.oriented[k]}
-    known = np.array([name in row for name in block.images])
-    if known.sum() < _LEAST_IMAGES:
+    expected = Expected.of(block, predictions)
+    at = expected.at
+    if len(at) < _LEAST_IMAGES:
         return None
     centre, R = block.centre_block_m.copy(), block.R_block_ccs.copy()
-    where = [row[block.images[k]] for k in np.flatnonzero(known)]
-    centre[known], R[known] = predictions.centre_wcs_m[where], predictions.R_wcs_ccs[where]
-    at = np.flatnonzero(known)
+    centre[at], R[at] = expected.centre_wcs_m, expected.R_wcs_ccs
+    known = np.isin(np.arange(len(block.images)), at)
     for k in np.flatnonzero(~known):
         near = at[np.argmin(np.linalg.norm(block.centre_block_m[at] - block.centre_block_m[k], axis=1))]
         turn = R[near] @ block.R_block_ccs[near].T
