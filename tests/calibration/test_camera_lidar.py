@@ -18,7 +18,7 @@ from thalweg.calibration.camera_lidar import (
 )
 from thalweg.calibration.camera_lidar.adjustment import cone_table, report, residual_table, sensor_table
 from thalweg.calibration.camera_lidar.model import Layout, Unknowns, field_group
-from thalweg.core import GeometryError, InputError, Rigid, UnobservableError
+from thalweg.core import InputError, Rigid, UnobservableError
 from thalweg.settings.sections import LidarAccuracy
 
 Yard, NOMINAL = yard.Yard, yard.NOMINAL
@@ -158,14 +158,6 @@ def test_errors_that_poses_and_points_share_enter_with_their_signs() -> None:
         squares.append(linear.residual @ np.linalg.solve(linear.cov[0], linear.residual))
     low, high = band(len(linear.residual) * len(squares))
     assert low < np.mean(squares) / len(linear.residual) < high
-
-
-def test_joint_errors_of_other_points_are_refused() -> None:
-    y = Yard(seed=3, frames=1)
-    with pytest.raises(GeometryError, match=r"joint errors \(4, 4\)"):
-        calibrate_camera_lidar(
-            y.references(), y.positions(1), NOMINAL, errors=FieldErrors(cov=np.eye(4), points={"C1": 4})
-        )
 
 
 # ---------------------------------------------------------------- nominal mounts and the search

@@ -202,12 +202,6 @@ def test_an_antenna_holds_the_pose_of_the_rig_once() -> None:
     assert (pose_sigmas(with_it)[:, 0] < 0.5 * pose_sigmas(without)[:, 0]).all()
 
 
-def test_images_that_do_not_belong_to_exposures_are_refused() -> None:
-    problem, _ = block(14, points=40)
-    with pytest.raises(GeometryError, match="images of 12 of 13 exposures"):
-        replace(problem.rig, exposures=(*problem.rig.exposures, "more.jpg"))
-
-
 def test_names_of_images_tell_their_exposure() -> None:
     true = true_rig(TwinDualFisheye(), 1)
     rig = calibrated(true, np.random.default_rng(1))

@@ -366,11 +366,6 @@ class ConeReference:
         points, cov = np.asarray(self.points_m, dtype=np.float64), np.asarray(self.cov, dtype=np.float64)
         n = len(points)
         labels = self.labels or tuple(str(i) for i in range(n))
-        if points.shape != (n, 3) or cov.shape != (3 * n, 3 * n) or len(labels) != n:
-            raise InputError(
-                f"cone {self.name}: points {points.shape}, covariance {cov.shape}, {len(labels)} labels",
-                expected="(n, 3), (3n, 3n), and n",
-            )
         if not (np.isfinite(points).all() and np.isfinite(cov).all()):
             raise InputError(f"cone {self.name}: coordinates or covariances that are not finite")
         for name, value in (("points_m", points), ("cov", cov), ("labels", labels)):

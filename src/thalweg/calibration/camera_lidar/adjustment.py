@@ -235,8 +235,6 @@ def calibrate_camera_lidar(
     usable = [r for r in references if r.name in fits]
     cones = [fits[r.name].cone for r in usable]
     lengths = [r.length_m for r in usable]
-    if errors is not None:
-        errors.check(references, len(positions))
     found, start = None, nominal
     if settings.within is not None:
         found = search(cones, lengths, positions, nominal, settings.within)

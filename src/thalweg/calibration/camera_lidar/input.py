@@ -170,14 +170,11 @@ def read_scan(reader: LidarReader) -> tuple[ArrayF, ArrayF]:
 
     A static scan needs no GPS time; a recording without a locked clock does as well.
     """
-    xyz: list[ArrayF] = []
-    reflectivity: list[ArrayF] = []
-    for block in reader.points():
-        xyz.append(np.asarray(block.xyz_scs_m, dtype=np.float64))
-        reflectivity.append(np.asarray(block.intensity, dtype=np.float64))
-    if not xyz:
+    blocks = list(reader.points())
+    if not blocks:
         return np.zeros((0, 3)), np.zeros(0)
-    return np.concatenate(xyz), np.concatenate(reflectivity)
+    xyz, reflectivity = ([getattr(b, name) for b in blocks] for name in ("xyz_scs_m", "intensity"))
+    return np.concatenate(xyz, dtype=np.float64), np.concatenate(reflectivity, dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

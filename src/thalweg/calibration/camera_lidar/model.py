@@ -24,7 +24,7 @@ from scipy import sparse
 from scipy.linalg import block_diag
 
 from thalweg.calibration import PARAMETERS, Cone, ConeReference, ConeScan
-from thalweg.core import AnyArray, ArrayF, GeometryError, Linear, Observations, Rigid, plane_rates
+from thalweg.core import AnyArray, ArrayF, Linear, Observations, Rigid, plane_rates
 
 ORIENTATION: Final = ("lever_x", "lever_y", "lever_z", "rotation_x", "rotation_y", "rotation_z")
 """Six of the relative orientation: shift and small rotation vector, in ccs."""
@@ -135,21 +135,6 @@ class FieldErrors:
         """Errors that neither orientations nor cones share."""
         cov = block_diag(*(each.cov for each in (*measured, *references)))
         return cls(cov=cov, points={r.name: len(r.points_m) for r in references})
-
-    def check(self, references: Sequence[ConeReference], positions: int) -> None:
-        """Refuse errors that belong to other points or positions.
-
-        Raises
-        ------
-        GeometryError : cones, points or positions do not match.
-        """
-        counts = {r.name: len(r.points_m) for r in references}
-        size = 6 * positions + 3 * sum(counts.values())
-        if list(self.points.items()) != list(counts.items()) or self.cov.shape != (size, size):
-            raise GeometryError(
-                f"joint errors {self.cov.shape} of {dict(self.points)} points",
-                expected=f"({size}, {size}) of {counts}",
-            )
 
     def rows_of(self, positions: int, cone: str, used: AnyArray) -> AnyArray:
         """Places of the coordinates of some points of a cone."""

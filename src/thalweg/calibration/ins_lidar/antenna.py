@@ -73,8 +73,6 @@ def phase_centre(
     """
     p = np.asarray(saddles_pcs_m, dtype=np.float64)
     C = np.asarray(cov_m2, dtype=np.float64)
-    if p.shape != (4, 3) or C.shape != (12, 12):
-        raise GeometryError(f"saddles {p.shape}, covariance {C.shape}", expected="(4, 3) and (12, 12)")
     sides = np.linalg.norm(np.roll(p, -1, axis=0) - p, axis=1)
     diagonals = np.linalg.norm(p[:2] - p[2:], axis=1)
     # 5 %: a print that is bent, or a saddle of another marker; noise is a hundred times smaller.

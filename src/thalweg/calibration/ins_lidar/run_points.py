@@ -10,18 +10,7 @@ from scipy.signal import savgol_filter
 
 from thalweg.calibration import Cone
 from thalweg.clocks import apart_words, span_text
-from thalweg.core import (
-    ArrayB,
-    ArrayF,
-    ArrayI,
-    CoverageError,
-    GeometryError,
-    Rigid,
-    Trajectory,
-    njit,
-    plane_rates,
-    rows_of,
-)
+from thalweg.core import ArrayB, ArrayF, ArrayI, CoverageError, Rigid, Trajectory, njit, plane_rates, rows_of
 from thalweg.settings.sections import InsLidarFit
 
 _SMOOTHED_S: Final = 1.5
@@ -53,10 +42,6 @@ class FieldCones:
     cones : in pcs.
     length_m : (c,) from the apex to the base along the axis.
     cov : (6 c, 6 c) joint covariance of the parameters of all cones; nothing given: that of each by itself.
-
-    Raises
-    ------
-    GeometryError : numbers of names, cones and lengths differ, or a name stands twice.
     """
 
     names: tuple[str, ...]
@@ -67,18 +52,11 @@ class FieldCones:
     def __post_init__(self) -> None:
         c = len(self.cones)
         length = np.asarray(self.length_m, dtype=np.float64)
-        if len(self.names) != c or length.shape != (c,) or len(set(self.names)) != c or not c:
-            raise GeometryError(
-                f"{len(set(self.names))} names, {c} cones, {length.size} lengths",
-                expected="a name and a length for each cone",
-            )
         cov = np.asarray(self.cov, dtype=np.float64)
         if cov.size == 0:
             cov = np.zeros((6 * c, 6 * c))
             for k, cone in enumerate(self.cones):
                 cov[6 * k : 6 * k + 6, 6 * k : 6 * k + 6] = cone.cov
-        if cov.shape != (6 * c, 6 * c):
-            raise GeometryError(f"a covariance {cov.shape} of {c} cones", expected=f"{(6 * c, 6 * c)}")
         object.__setattr__(self, "length_m", length)
         object.__setattr__(self, "cov", cov)
 
