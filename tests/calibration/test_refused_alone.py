@@ -36,6 +36,10 @@ GOOD: dict[Callable[..., Any], dict[str, Any]] = {
         "sigma_position_m": np.ones(3), "sigma_attitude_rad": np.ones(3), "position_time_s": 10.0,
         "attitude_time_s": 20.0, "white_share": 0.25, "epoch_s": 0.1, "knot_s": 1.0, "heading_time_s": 30.0,
     },
+    Track: {
+        "t_gps_s": np.arange(50.0), "position_m": np.zeros((50, 3)), "cov_m2": np.tile(np.eye(3), (50, 1, 1)),
+        "correlation_time_s": 10.0, "white_share": 0.25,
+    },
     ErrorChain: {
         "name": "a", "t_gps_s": np.arange(3.0), "root": np.zeros((3, 6, 2)), "link": np.zeros((3, 2, 2))
     },
