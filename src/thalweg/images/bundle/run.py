@@ -22,14 +22,7 @@ from thalweg.images.bundle.checks import (
     interior_notes,
     interior_of,
 )
-from thalweg.images.bundle.normals import (
-    Correlation,
-    along_and_across,
-    linearised,
-    restricted_parts,
-    tracks_of,
-    views,
-)
+from thalweg.images.bundle.normals import Correlation, linearised_tracks, restricted_parts, tracks_of, views
 from thalweg.images.bundle.problem import Antenna, Problem, RigFrames, clock_notes
 from thalweg.images.model import (
     CURE_LINE,
@@ -184,9 +177,7 @@ def misfit(one: AdjustedBlock, first: AdjustedBlock, second: AdjustedBlock) -> f
     view = views(second.x.X[block.mark_point], second.x.C[block.mark_image])
     sigma = block.sigma_px
     tracks = tracks_of(problem, first.used & second.used, sigma, view)
-    at = np.repeat(tracks.point, np.diff(tracks.first))
-    part = linearised(problem, one.layout, x, tracks.image, x.X[at], tracks.xy_px)
-    part = along_and_across(part, tracks.along)
+    part = linearised_tracks(problem, one.layout, x, tracks)
     n = len(tracks.point)
     logarithm, square = np.empty(n), np.empty(n)
     restricted_parts(
