@@ -101,10 +101,7 @@ def test_a_single_scale_bar_is_checked_by_nothing_but_targets() -> None:
 
 
 def test_bars_in_another_unit() -> None:
-    field = with_targets()
-    tenfold = tuple(replace(bar, length_m=10 * bar.length_m) for bar in field.scale_bars)
-    with pytest.raises(GeometryError, match=r"field is 0\.(0999|1)\d* times as large as by the scale bars"):
-        measured(replace(field, scale_bars=tenfold), fewer())
+    tenfold = tuple(replace(bar, length_m=10 * bar.length_m) for bar in yard()[1].scale_bars)
     with pytest.raises(GeometryError, match=r"by the scale bars the printed markers are (9\.9|10)"):
         measured(replace(yard()[1], scale_bars=tenfold), fewer())
 
