@@ -133,7 +133,7 @@ class FieldErrors:
     @classmethod
     def independent(cls, references: Sequence[ConeReference], measured: Sequence[Rigid]) -> Self:
         """Errors that neither orientations nor cones share."""
-        cov = block_diag(*(each.cov for each in (*measured, *references)))
+        cov = block_diag(*(T.cov for T in measured), *(r.cov for r in references))
         return cls(cov=cov, points={r.name: len(r.points_m) for r in references})
 
     def rows_of(self, positions: int, cone: str, used: AnyArray) -> AnyArray:
