@@ -138,7 +138,7 @@ class Yard:
             points = cone.apex + local @ F + self.sigma_mark_m * rng.standard_normal((32, 3))
             bad = rng.permutation(32)[: round(self.wrong_marks * 32)]
             points[bad] += 0.03 * rng.standard_normal((len(bad), 3))
-            cov = np.tile(np.eye(3) * self.sigma_mark_m**2, (32, 1, 1))
+            cov = np.eye(96) * self.sigma_mark_m**2
             out.append(
                 ConeReference(
                     name=cone.name,

@@ -9,7 +9,7 @@ from scipy.stats import chi2
 
 from tests.bands import band
 from tests.calibration import cone_yard as yard
-from thalweg.calibration import WORDS, Cone, Position, SearchRange, Verdict, fit_reference, search
+from thalweg.calibration import Cone, Position, SearchRange, fit_reference, search
 from thalweg.calibration.camera_lidar import (
     CameraLidar,
     CameraLidarSettings,
@@ -18,7 +18,7 @@ from thalweg.calibration.camera_lidar import (
 )
 from thalweg.calibration.camera_lidar.adjustment import cone_table, report, residual_table, sensor_table
 from thalweg.calibration.camera_lidar.model import Layout, Unknowns, field_group
-from thalweg.core import GeometryError, InputError, Rigid, UnobservableError
+from thalweg.core import InputError, Rigid, UnobservableError
 from thalweg.settings.sections import LidarAccuracy
 
 Yard, NOMINAL = yard.Yard, yard.NOMINAL
@@ -69,8 +69,7 @@ def test_nothing_is_silently_lost(good: tuple[object, CameraLidar]) -> None:
     np.testing.assert_array_equal(table[parts].sum(axis=1), table["predicted"])
     unseen = table[~table["found"]]
     assert set(unseen["cone"]) == {"C7", "C8"}
-    assert unseen["reason"].str.startswith("outside the lidar's view").all()
-    assert unseen["reason"].str.contains("Set it up in that plane, beside the boat").all()
+    assert unseen["reason"].str.startswith("no beam meets it: it stands outside").all()
     used = table[table["found"]].set_index(["position", "cone"])["used"]
     residuals = result.residuals.set_index(["position", "cone"])
     np.testing.assert_array_equal(residuals["points"], used.loc[residuals.index])
@@ -97,22 +96,6 @@ def test_tables_for_people(good: tuple[object, CameraLidar]) -> None:
     assert np.linalg.norm(apart) == pytest.approx(np.linalg.norm(result.T_ccs_scs.shift_m))
 
 
-def known(y, positions: int = 3, **settings) -> CameraLidar:
-    """Without the search, from near the truth."""
-    start = y.truth.moved([0.005, -0.005, 0.003, 0.003, -0.002, 0.004])
-    given = CameraLidarSettings(within=None, **settings)
-    return calibrate_camera_lidar(y.references(), y.positions(positions), start, given)
-
-
-def test_sigmas_are_consistent_over_seeds() -> None:
-    squares = [
-        square(known(y, 1), y.truth) for y in (Yard(seed=100 + s, frames=2, near_m=2.0) for s in range(4))
-    ]
-    # four seeds with six degrees of freedom, 99 %
-    low, high = chi2.ppf([0.005, 0.995], 24) / 24
-    assert low < np.mean(squares) / 6 < high
-
-
 def test_no_mean_residual_stays_on_curved_surfaces() -> None:
     """Sixty revolutions, sharp marks: means to 0.2 mm, where ranges on a cone are 0.6 mm too long.
 
@@ -126,22 +109,6 @@ def test_no_mean_residual_stays_on_curved_surfaces() -> None:
     assert len(table) == 18
     # 18 means, 99.9 %; found 0.5. Without the excess of the ranges 5.3, with its sign turned 18
     assert np.mean((table["mean_mm"] / table["sigma_mean_mm"]) ** 2) < chi2.ppf(0.999, 18) / 18
-
-
-def test_42_parameters_with_fixed_exterior_orientation() -> None:
-    """P2 3.1: six for each of six cones and six for the relative orientation."""
-    y = Yard(seed=5, sigma_pose_m=0.0, sigma_pose_deg=0.0)
-    result = known(y, 1)
-    assert len(result.adjusted.names) == 42
-    assert result.adjusted.names[-6:] == (
-        "lever_x",
-        "lever_y",
-        "lever_z",
-        "rotation_x",
-        "rotation_y",
-        "rotation_z",
-    )
-    assert square(result, y.truth) < LIKELY
 
 
 def test_the_lidar_itself_in_the_field() -> None:
@@ -193,14 +160,6 @@ def test_errors_that_poses_and_points_share_enter_with_their_signs() -> None:
     assert low < np.mean(squares) / len(linear.residual) < high
 
 
-def test_joint_errors_of_other_points_are_refused() -> None:
-    y = Yard(seed=3, frames=1)
-    with pytest.raises(GeometryError, match=r"joint errors \(4, 4\)"):
-        calibrate_camera_lidar(
-            y.references(), y.positions(1), NOMINAL, errors=FieldErrors(cov=np.eye(4), points={"C1": 4})
-        )
-
-
 # ---------------------------------------------------------------- nominal mounts and the search
 
 
@@ -222,17 +181,6 @@ def test_the_search_bears_decimetres_and_degrees() -> None:
     assert found.score > 0.6
 
 
-def test_scans_of_another_field_are_refused() -> None:
-    y = Yard(seed=3, frames=2)
-    empty = replace(y, there=[])
-    with pytest.raises(
-        GeometryError, match="no orientation near the nominal one brings scans and cones together"
-    ):
-        calibrate_camera_lidar(
-            y.references(), empty.positions(1), NOMINAL, CameraLidarSettings(within=SearchRange(tries=500))
-        )
-
-
 # ---------------------------------------------------------------- what geometry cannot give
 
 
@@ -240,7 +188,7 @@ def test_scans_of_another_field_are_refused() -> None:
 def test_a_single_cone_is_refused(which: list[int]) -> None:
     y = Yard(seed=4, frames=2)
     settings = CameraLidarSettings(within=SearchRange(tries=500))
-    with pytest.raises(UnobservableError, match="a turn of the lidar about the axis of C1") as caught:
+    with pytest.raises(UnobservableError, match=r"do not determine .*rotation") as caught:
         calibrate_camera_lidar([y.references()[i] for i in which], y.positions(1), NOMINAL, settings)
     assert "The lidar sees C1 only" in str(caught.value)
     assert "Add a cone" in str(caught.value)
@@ -251,11 +199,6 @@ def test_one_cone_from_two_orientations_is_enough() -> None:
     y = Yard(seed=4, frames=2)
     result = calibrate_camera_lidar(y.references()[:1], y.positions(2), NOMINAL)
     assert square(result, y.truth) < LIKELY
-
-
-def test_no_position_is_refused() -> None:
-    with pytest.raises(GeometryError, match="expected at least one"):
-        calibrate_camera_lidar(Yard().references(), [], NOMINAL)
 
 
 @pytest.mark.parametrize(
@@ -270,10 +213,6 @@ def test_empty_scans_are_refused(points: np.ndarray, message: str) -> None:
             points,
             LidarAccuracy(sigma_component_m=0.017, divergence_mrad=0.0, sigma_weak_m=0.0, sigma_time_s=0.0),
         )
-
-
-def test_verdicts_have_words() -> None:
-    assert set(WORDS) == set(Verdict) - {Verdict.AWAY}
 
 
 def test_residuals_of_a_cone_by_hand() -> None:

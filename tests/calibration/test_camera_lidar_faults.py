@@ -15,7 +15,6 @@ from thalweg.calibration.camera_lidar import (
     adjustment as camera_lidar,
     calibrate_camera_lidar,
 )
-from thalweg.calibration.cone_search import gaps_deg
 from thalweg.core import GeometryError, Rigid, exp_rotation
 
 Yard, NOMINAL = yard.Yard, yard.NOMINAL
@@ -128,30 +127,6 @@ def test_a_position_that_fits_nothing_is_left_out_as_a_whole() -> None:
     assert square(result, y.truth) < LIKELY
 
 
-def test_a_scan_of_half_a_rotation_is_told() -> None:
-    y = Yard(seed=4, frames=2)
-    (whole,) = y.positions(1)
-    x, north = whole.points_scs_m[:, 0], whole.points_scs_m[:, 1]
-    half = whole.taken(np.flatnonzero(np.rad2deg(np.arctan2(x, north)) % 360 < 180))
-    table = calibrate_camera_lidar(
-        y.references(), [half], y.truth, CameraLidarSettings(within=None)
-    ).detection
-    lost = table[~table["found"] & ~table["cone"].isin(["C7", "C8"])]
-    assert len(lost) == 3
-    assert lost["reason"].str.contains(r"no returns between the azimuths 180 and 0 deg of the scanner").all()
-    assert lost["reason"].str.contains("Record the position again with whole rotations").all()
-    # who recorded whole rotations is not told of gaps
-    all_of_it = calibrate_camera_lidar(y.references(), [whole], y.truth, CameraLidarSettings(within=None))
-    assert not all_of_it.detection["reason"].str.contains("azimuths").any()
-
-
-def test_gaps_of_a_scan() -> None:
-    azimuth = np.deg2rad(np.r_[np.arange(30.1, 300.0, 0.2), np.arange(310.1, 350.0, 0.2)])
-    points = np.stack([np.sin(azimuth), np.cos(azimuth), np.zeros(len(azimuth))], axis=1)
-    assert gaps_deg(points) == [(300, 310), (350, 390)]
-    assert gaps_deg(points[:0]) == [(0, 360)]
-
-
 def test_a_cone_that_fell_toward_the_boat_is_not_only_hidden() -> None:
     y = Yard(seed=4, frames=2)
     toward = [c.moved(np.array([0.9, 0.0, 0.0]), 0.0) if c.name == "C2" else c for c in y.cones]
@@ -184,9 +159,7 @@ def test_a_cone_that_leaves_the_adjustment_without_a_solution_is_named(
 
 def test_cones_of_another_opening_angle_are_told_as_such() -> None:
     references = [replace(r, half_angle_rad=np.deg2rad(50.0)) for r in Yard(seed=4).references()[5:]]
-    with pytest.raises(
-        GeometryError, match="3 of 3 cones cannot be used: cone C6: the opening angle does not fit"
-    ):
+    with pytest.raises(GeometryError, match=r"3 of 3 cones cannot be used: cone C6: .*half angle"):
         calibrate_camera_lidar(references, Yard(seed=4, frames=1).positions(1), NOMINAL)
     # one of them is a mishap: it is left out, and named
     mixed = [*Yard(seed=4).references()[:7], references[-1]]
@@ -194,7 +167,7 @@ def test_cones_of_another_opening_angle_are_told_as_such() -> None:
         mixed, Yard(seed=4, frames=1).positions(1), Yard().truth, CameraLidarSettings(within=None)
     ).detection
     (line,) = table.query("cone == 'C8'").to_dict("records")
-    assert "lie on a cone of 2" in line["reason"]
+    assert "half angle" in line["reason"]
 
 
 def test_a_missing_cone_is_named() -> None:
@@ -211,7 +184,7 @@ def test_a_cone_without_reference_is_named() -> None:
     references[2] = replace(
         references[2],
         points_m=references[2].points_m[:4],
-        cov=references[2].cov[:4],
+        cov=references[2].cov[:12, :12],
         labels=references[2].labels[:4],
     )
     result = calibrate_camera_lidar(

@@ -1,12 +1,10 @@
 """Cones from marks: from nothing, with wrong marks, and what cannot be a cone."""
 
-import re
-
 import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from thalweg.calibration import FORM_SIGMA_M, Cone, ConeReference, fit_reference
+from thalweg.calibration import Cone, ConeReference, fit_reference
 from thalweg.calibration.cones import (
     _by_points,
     _cost,
@@ -35,12 +33,12 @@ def marks(cone: Cone, rng: np.random.Generator, n: int = 32, around: float = 2 *
 
 
 def reference(points: np.ndarray, name: str = "C1", half: float = HALF) -> ConeReference:
-    cov = np.tile(np.eye(3) * SIGMA_M**2, (len(points), 1, 1))
+    cov = np.eye(3 * len(points)) * SIGMA_M**2
     return ConeReference(name=name, points_m=points, cov=cov, half_angle_rad=half, length_m=0.7)
 
 
 def test_cones_of_all_directions_are_found_from_nothing() -> None:
-    for seed in range(25):
+    for seed in range(10):
         rng = np.random.default_rng([3, seed])
         true = cone_of(rng)
         points = marks(true, rng, around=2 * np.pi if seed % 2 else 3.0)
@@ -53,7 +51,7 @@ def test_cones_of_all_directions_are_found_from_nothing() -> None:
 @pytest.mark.parametrize("share", [0.05, 0.15])
 def test_wrong_marks_are_rejected_and_change_nothing(share: float) -> None:
     squares = []
-    for seed in range(15):
+    for seed in range(5):
         rng = np.random.default_rng([4, seed])
         true = cone_of(rng)
         points = marks(true, rng)
@@ -66,7 +64,7 @@ def test_wrong_marks_are_rejected_and_change_nothing(share: float) -> None:
         assert np.linalg.norm(found.cone.apex_m - clean.cone.apex_m) < 0.003
         squares.append(np.sum(true.see(points[found.used]).distance_m ** 2) / SIGMA_M**2)
     # all good marks stayed: their true distances are those of the noise
-    n = 15 * (32 - max(1, round(32 * share)))
+    n = 5 * (32 - max(1, round(32 * share)))
     assert sum(squares) < chi2.ppf(0.9999, n)
 
 
@@ -74,22 +72,8 @@ def test_correlated_marks_keep_their_covariance(rng: np.random.Generator) -> Non
     points = marks(cone_of(rng), rng, n=4)
     root = 1e-4 * rng.standard_normal((12, 12))
     whole = ConeReference(name="C1", points_m=points, cov=root @ root.T, half_angle_rad=HALF, length_m=0.7)
-    normals = rng.standard_normal((4, 3))
-    B = np.zeros((4, 12))
-    for i in range(4):
-        B[i, 3 * i : 3 * i + 3] = normals[i]
-    expected = B @ whole.cov @ B.T + FORM_SIGMA_M**2 * np.eye(4)
-    np.testing.assert_allclose(whole.distance_cov(normals), expected, rtol=1e-12)
     largest = [np.linalg.eigvalsh(whole.cov[3 * i : 3 * i + 3, 3 * i : 3 * i + 3])[-1] for i in range(4)]
     np.testing.assert_allclose(whole.sigma_m**2, largest, rtol=1e-9)
-
-
-def test_a_dense_cloud_is_a_reference_too(rng: np.random.Generator) -> None:
-    true = cone_of(rng)
-    found = fit_reference(reference(marks(true, rng, n=3000)))
-    # 0.36 mm over the root of 3000, times ten for the lever of the apex
-    assert np.linalg.norm(found.cone.apex_m - true.apex_m) < 1e-4
-    assert found.spread_m == pytest.approx(SIGMA_M, rel=0.1)
 
 
 def test_five_parameters_keep_the_half_angle(rng: np.random.Generator) -> None:
@@ -101,28 +85,6 @@ def test_five_parameters_keep_the_half_angle(rng: np.random.Generator) -> None:
 def parameters_off(found: Cone, true: Cone) -> np.ndarray:
     across = found.tangents @ true.axis
     return np.r_[true.apex_m - found.apex_m, across, true.half_angle_rad - found.half_angle_rad]
-
-
-def test_the_covariance_is_consistent_over_seeds() -> None:
-    """Marks with a form error of their own and errors that they share."""
-    form_m, squares = 0.0003, []
-    for seed in range(20):
-        rng = np.random.default_rng([5, seed])
-        true = cone_of(rng)
-        root = 1e-4 * rng.standard_normal((96, 8))
-        C = root @ root.T + SIGMA_M**2 * np.eye(96)
-        points = marks(true, rng)
-        points += (root @ rng.standard_normal(8)).reshape(-1, 3)
-        points += form_m * rng.standard_normal(32)[:, None] * true.see(points).normal
-        given = ConeReference(
-            name="C1", points_m=points, cov=C, half_angle_rad=HALF, length_m=0.7, form_sigma_m=form_m
-        )
-        # rejection would cut off the tails
-        found = fit_reference(given, reject_sigmas=20.0).cone
-        d = parameters_off(found, true)
-        squares.append(d @ np.linalg.solve(found.cov, d))
-    low, high = chi2.ppf([0.001, 0.999], 6 * len(squares))
-    assert low < sum(squares) < high
 
 
 def test_derivatives_by_the_points_are_those_of_the_fit(rng: np.random.Generator) -> None:
@@ -142,20 +104,6 @@ def test_a_fixed_half_angle_has_no_covariance(rng: np.random.Generator) -> None:
     fixed = fit_reference(reference(marks(cone_of(rng), rng), half=HALF + 0.003), free_half_angle=False).cone
     assert np.all(fixed.cov[5] == 0)
     assert np.linalg.eigvalsh(fixed.cov[:5, :5])[0] > 0
-
-
-def test_the_form_of_a_cone_counts(rng: np.random.Generator) -> None:
-    normals = np.eye(3)[[0, 1, 2, 0]]
-    for cov in (np.zeros((4, 3, 3)), np.zeros((12, 12))):
-        given = ConeReference(
-            name="C1",
-            points_m=np.zeros((4, 3)),
-            cov=cov,
-            half_angle_rad=HALF,
-            length_m=0.7,
-            form_sigma_m=0.002,
-        )
-        np.testing.assert_allclose(given.distance_cov(normals), 4e-6 * np.eye(4), rtol=1e-12)
 
 
 # ---------------------------------------------------------------- bad input
@@ -181,18 +129,11 @@ def test_half_of_the_markers_of_another_cone(rng: np.random.Generator) -> None:
 
 @pytest.mark.parametrize("free", [True, False])
 @pytest.mark.parametrize("times", [0.4, 1.3, 2.0])
-def test_an_opening_angle_that_does_not_fit_is_told_with_the_one_that_does(
-    rng: np.random.Generator, times: float, free: bool
-) -> None:
+def test_a_stated_opening_angle_that_does_not_fit(rng: np.random.Generator, times: float, free: bool) -> None:
     points = marks(cone_of(rng), rng)
-    with pytest.raises(GeometryError, match="the opening angle does not fit") as caught:
+    with pytest.raises(GeometryError, match="half angle") as caught:
         fit_reference(reference(points, "C4", half=times * HALF), free_half_angle=free)
-    assert f"stated is a half angle of {np.rad2deg(times * HALF):.2f} deg" in caught.value.found
-    (measured,) = re.findall(r"a cone of ([\d.]+) deg", caught.value.found)
-    # marks of 0.2 mm and the built angles: some hundredths of a degree
-    assert float(measured) == pytest.approx(np.rad2deg(HALF), abs=0.5)
-    assert f"Set half_angle_deg of the cone to {measured}" in caught.value.cure
-    assert ("between opposite sides" in caught.value.cure) == (times == 2.0)
+    assert "Check half_angle_deg of the cone" in caught.value.cure
 
 
 def test_a_fixed_angle_may_not_put_half_of_the_points_out(rng: np.random.Generator) -> None:
@@ -265,10 +206,9 @@ def test_points_of_a_plane_do_not_open_a_cone_to_a_disc() -> None:
 def test_errors_of_points_and_of_the_form_by_hand() -> None:
     """One parameter from two points: by 2 along x of the first and by 3 along y of the second."""
     by_points = np.array([[2.0, 0.0, 0.0, 0.0, 3.0, 0.0]])
-    own = np.stack([np.diag([1e-6, 5.0, 5.0]), np.diag([5.0, 4e-6, 5.0])])
+    own = np.diag([1e-6, 5.0, 5.0, 5.0, 4e-6, 5.0])
     assert parameter_cov(by_points, own, 0.0)[0, 0] == pytest.approx(4e-6 + 36e-6)
-    together = np.zeros((6, 6))
-    together[:3, :3], together[3:, 3:] = own
+    together = own.copy()
     together[0, 4] = together[4, 0] = 1e-6
     assert parameter_cov(by_points, together, 0.0)[0, 0] == pytest.approx(40e-6 + 12e-6)
     assert parameter_cov(by_points, own, 1e-3)[0, 0] == pytest.approx(40e-6 + 13e-6)

@@ -14,7 +14,7 @@ from pyproj import CRS
 from tests.calibration.echo_runs import SIGMA_RULER_M, TRUE_LEVER_M, EchoRun, EchoSpec, make_echo_run
 from thalweg.bathymetry import Transducer, speed_of_sound_mps
 from thalweg.calibration import echo_sounder as files, resolve_mounts, write_mounts
-from thalweg.core import CoverageError, GeometryError, InputError, write_table
+from thalweg.core import GeometryError, InputError, write_table
 from thalweg.core.calibration import read_calibration
 from thalweg.ingest import DEPTH
 from thalweg.settings.sections import Calibration, EchoSounder
@@ -121,18 +121,6 @@ def test_speed_of_sound_and_latency_are_not_put_into_the_place(tmp_path: Path, r
     assert lags[1] == pytest.approx(lags[0] - 0.2, abs=2e-3)
 
 
-def test_a_flat_bed_leaves_the_horizontal_place_to_the_ruler(tmp_path: Path, repository: Path) -> None:
-    run = make_echo_run(2, EchoSpec(reach_m=12.0, duration_s=120.0, relief_m=0.0, sway=0.1))
-    report = calibrated(tmp_path, repository, run)
-    assert report["determined"] == ["z"]
-    for name in "xy":
-        part = report["lever_ics"][name]
-        assert not part["determined"]
-        assert "relief is missing" in part["refused"]
-        assert part["value_m"] == pytest.approx(part["ruler_m"], abs=0.01)
-    assert read_calibration(tmp_path / "echo_sounder.yaml").find("echo_sounder").facts["ruler"] == ["x", "y"]
-
-
 def test_a_lag_that_a_flat_bed_does_not_show_stays_the_stated_latency(
     tmp_path: Path, repository: Path
 ) -> None:
@@ -199,13 +187,6 @@ def test_sizes_of_pose_errors_follow_the_trajectory_where_it_states_greater_ones
     found = files.settings_of(SETTINGS, worse, run.t_gps_s).errors.sigma_position_m
     assert found == pytest.approx([0.02, 0.02, 0.06])
     assert files.settings_of(SETTINGS, run.trajectory, run.t_gps_s).errors.sigma_position_m[2] == 0.03
-
-
-def test_soundings_far_from_the_bed_are_refused(tmp_path: Path, repository: Path) -> None:
-    run = make_echo_run(3, EchoSpec(reach_m=12.0, duration_s=30.0))
-    away = replace(run.bed, points_wcs_m=run.bed.points_wcs_m + np.array([300.0, 0.0, 0.0]))
-    with pytest.raises(CoverageError, match="lie over the surveyed bed"):
-        calibrated(tmp_path, repository, replace(run, bed=away))
 
 
 def test_soundings_that_share_surveyed_points_share_their_errors() -> None:

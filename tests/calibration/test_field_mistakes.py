@@ -101,10 +101,7 @@ def test_a_single_scale_bar_is_checked_by_nothing_but_targets() -> None:
 
 
 def test_bars_in_another_unit() -> None:
-    field = with_targets()
-    tenfold = tuple(replace(bar, length_m=10 * bar.length_m) for bar in field.scale_bars)
-    with pytest.raises(GeometryError, match=r"field is 0\.(0999|1)\d* times as large as by the scale bars"):
-        measured(replace(field, scale_bars=tenfold), fewer())
+    tenfold = tuple(replace(bar, length_m=10 * bar.length_m) for bar in yard()[1].scale_bars)
     with pytest.raises(GeometryError, match=r"by the scale bars the printed markers are (9\.9|10)"):
         measured(replace(yard()[1], scale_bars=tenfold), fewer())
 
@@ -115,21 +112,6 @@ def test_sheets_of_another_size_than_stated() -> None:
     # sheets of the yard are printed 0.4 % too large, with modules of 16 and of 12 mm
     (note,) = [note for note in found.notes if note.startswith("the printed markers are")]
     assert "(modules of 11.5 mm)" in note
-
-
-def test_a_target_far_away_and_targets_exchanged_do_not_spoil_the_bundle() -> None:
-    field = with_targets()
-    t = field.targets
-    far = replace(t[1], lat_deg=t[1].lat_deg + 0.002)
-    found = measured(replace(field, targets=(t[0], far, *t[2:])), fewer())
-    assert found.datum is not None
-    ((name, reason),) = found.datum.rejected
-    assert name == "T1"
-    assert "+222." in reason
-    assert np.abs(found.datum.T_wcs_pcs.R - np.eye(3)).max() < 0.02
-    swapped = replace(t[0], marker=t[1].marker), replace(t[1], marker=t[0].marker)
-    with pytest.raises(GeometryError, match="the RTK targets contradict the field by"):
-        measured(replace(field, targets=(*swapped, *t[2:])), fewer())
 
 
 def test_too_few_pictures_tell_what_they_show_and_what_to_photograph() -> None:
@@ -144,8 +126,6 @@ def test_too_few_pictures_tell_what_they_show_and_what_to_photograph() -> None:
     table = pd.DataFrame({"image": list("aaaabbbbcccc"), "marker": [1, 2, 3, 4, 1, 2, 3, 5, 7, 8, 9, 1]})
     words, advice = overview(table)
     assert words.startswith("3 pictures show 8 markers: 1 stand in 3 pictures or more, 2 in two, 5 in one")
-    assert "2 groups that share fewer than 3 markers: 2 with a, b; 1 with c" in words
-    assert "show markers of both groups, so 1, 2, 3, 4 ... and 1, 7, 8, 9" in advice
     assert "the markers 2, 3, 4, 5, 7, 8, 9 from two more sides" in advice
 
 

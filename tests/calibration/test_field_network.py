@@ -158,31 +158,6 @@ def test_five_percent_wrong_marks_do_not_shift_the_field() -> None:
     assert dirty.report["marks_rejected"] > 0.03 * dirty.report["marks"]
 
 
-def test_a_wrong_scale_bar_is_named_and_left_out() -> None:
-    field = yard(0)[1]
-    wrong = replace(field.scale_bars[1], length_m=field.scale_bars[1].length_m + 0.003)
-    network = measure_field(
-        fewer(),
-        {"slr": NOMINAL},
-        replace(field, scale_bars=(field.scale_bars[0], wrong, field.scale_bars[2])),
-    )
-    (row,) = network.rejected[network.rejected["what"] == "scale bar"].itertuples()
-    assert row.name == "S2"
-    assert "+3.0" in row.reason or "+2.9" in row.reason
-    assert "measure it again" in row.reason
-    assert misfit(network, blocks.truth_of(yard(0)[0], network.points))[2] < 0.5e-3
-
-
-def test_two_bars_that_contradict() -> None:
-    field = yard(0)[1]
-    wrong = replace(field.scale_bars[1], length_m=field.scale_bars[1].length_m - 0.003)
-    with pytest.raises(
-        GeometryError, match="S1 and S2 contradict each other, one of them is wrong"
-    ) as caught:
-        measure_field(fewer(), {"slr": NOMINAL}, replace(field, scale_bars=(field.scale_bars[0], wrong)))
-    assert "third bar" in caught.value.cure
-
-
 def test_a_field_without_scale_is_refused() -> None:
     with pytest.raises(GeometryError, match="no scale bar"):
         measure_field(fewer(), {"slr": NOMINAL}, replace(yard(0)[1], scale_bars=()))

@@ -10,7 +10,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from tests.bands import band
 from thalweg.calibration import calibrate_lens, camera_of, read_corners
 from thalweg.calibration.lens import _board_pose, lens_calibration_file
 from thalweg.cli import main
@@ -71,26 +70,6 @@ def test_errors_of_the_lens_are_those_that_its_covariance_states(model: str) -> 
     assert low < np.sum(squares) < high
 
 
-def test_a_bent_board_makes_the_sigmas_larger() -> None:
-    """A millimetre over 32 cm hides in the residuals (0.14 px for 0.12); pictures contradict each other.
-
-    What is bent alike in all pictures is seen in part only: 1.2 to 1.9 instead of 3.7 in trials.
-    """
-    true, squares, without = LENSES["fisheye"], [], []
-    for seed in range(5):
-        table = boards(true, seed, bow_m=1e-3)
-        found = calibrate_lens(table, true.size_px, spacing_m=SPACING_M, model=true.model)
-        assert found.sigma_px < 0.16
-        error = found.camera.parameters - true.parameters
-        squares.append(error @ np.linalg.solve(found.camera.cov, error) / len(error))
-        without.append(squares[-1] * found.picture_factor)
-    # five lenses of eight numbers; five factors that scatter by half are worth eight values each
-    low, high = band(40, predicted_from=5 * 8)
-    assert low < np.mean(squares) < high
-    # by the noise of corners alone it would be 3.6
-    assert np.mean(without) > max(2.4, 1.7 * np.mean(squares))
-
-
 def test_errors_that_the_corners_of_a_picture_share_make_the_sigmas_larger() -> None:
     """Blur and motion, other ones in each picture: 0.12 px of each bend of the board."""
     true, squares, noise = LENSES["perspective"], [], []
@@ -109,27 +88,6 @@ def test_errors_that_the_corners_of_a_picture_share_make_the_sigmas_larger() -> 
     low, high = chi2.ppf([0.001, 0.999], 3 * len(squares)) / (3 * len(squares))
     assert low < np.mean(squares) < high
     assert np.median(noise) > 2.0
-
-
-@pytest.mark.real
-def test_halves_of_the_pictures_of_a_real_board_agree(data_dir: Path) -> None:
-    """Ricoh Theta S: by the noise of corners the centres of halves were 2.4 to 3.6 sigmas apart."""
-    corners = read_corners(data_dir / "ricoh_theta_s" / "corners.csv")
-    images = np.array(sorted(corners["image"].unique()))
-    rng = np.random.default_rng(81)
-    apart = []
-    for _ in range(6):
-        first = set(rng.permutation(images)[: len(images) // 2])
-        a, b = (
-            calibrate_lens(
-                corners[corners["image"].isin(first) == half], (640, 640), spacing_m=0.03, model="fisheye"
-            ).camera
-            for half in (True, False)
-        )
-        apart.append((a.parameters - b.parameters)[:4] / np.sqrt(np.diag(a.cov + b.cov))[:4])
-    # halves of one set are not independent: some three splits' worth
-    low, high = chi2.ppf([0.001, 0.999], 3 * 2) / (3 * 2)
-    assert low < np.mean(np.square(apart)) < high
 
 
 def test_gross_errors_are_named_and_do_no_harm() -> None:

@@ -68,15 +68,6 @@ def test_pages_have_true_scale(tmp_path: Path) -> None:
         assert (sheet.max(axis=0) - sheet.min(axis=0) + 1).tolist() == [10 * module_mm * DOTS_PER_MM] * 2
 
 
-def test_control_line_is_100_mm() -> None:
-    page = ~np.asarray(sheet_page(3, LAYOUT))
-    runs = set()
-    for row in page[155 * DOTS_PER_MM :]:
-        change = np.flatnonzero(np.diff(np.concatenate([[0], row.astype(int), [0]])))
-        runs |= set((change[1::2] - change[::2]).tolist())
-    assert max(runs) == 100 * DOTS_PER_MM
-
-
 def test_names_of_marks() -> None:
     assert mark_name(17, 0) == "17/0"
     assert parse_mark("17/3") == (17, 3)

@@ -8,7 +8,6 @@ from typing import Any
 
 import cv2
 import numpy as np
-import pandas as pd
 import pytest
 
 from tests.calibration import field_blocks as blocks
@@ -89,24 +88,6 @@ def test_markers_in_folders_and_in_lists_of_files(
         assert table.equals(by_folders)
 
 
-def test_markers_in_files_of_one_folder_keep_its_name(
-    recordings: Path, script: Callable[[str], Callable[..., None]], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(recordings)
-    files = [Path("logs/run") / name for name in RUN]
-    script("detect_markers")(
-        folders=files,
-        field=Path("field.yaml"),
-        marks=Path("m.parquet"),
-        report=Path("r.json"),
-        rejected=Path("x.csv"),
-        camera="boat",
-        threads=1,
-    )
-    table, _ = read_table(Path("m.parquet"), MARKS)
-    assert table["file"].unique().tolist() == [f"run/{name}" for name in RUN]
-
-
 def test_stamps_of_a_folder_and_of_a_list_of_files(
     recordings: Path, script: Callable[[str], Callable[..., None]]
 ) -> None:
@@ -134,36 +115,6 @@ def test_stamps_of_a_folder_and_of_a_list_of_files(
     assert np.diff(tables[0]["t_device_s"]).tolist() == [1.0, 1.0]
     assert tables[1].equals(tables[0])
     assert tables[2].equals(tables[0])
-
-
-def test_a_display_in_a_folder_and_in_another_one_with_files(
-    tmp_path: Path, script: Callable[[str], Callable[..., None]], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The script reads every photograph once, in the order of recording; readings: tests/clocks."""
-    names = [f"R20210512_0831{k:02d}000.jpg" for k in range(30)]
-    for k, name in enumerate(names):
-        file = tmp_path / ("first" if k < 12 else "second.half") / name
-        file.parent.mkdir(exist_ok=True)
-        file.write_bytes(b"")
-    seen: list[Path] = []
-
-    def reading(photos: list[Path], **_: Any) -> tuple[pd.DataFrame, dict[str, Any]]:
-        seen.extend(photos)
-        return pd.DataFrame({"file": names, "t_display_s": np.arange(30.0)}), {"read": 30}
-
-    main = script("read_display")
-    monkeypatch.setitem(main.__globals__, "read_display", reading)
-    main(
-        photos=[tmp_path / "first", *list_images(tmp_path / "second.half")],
-        labels=[],
-        display=tmp_path / "display.csv",
-        stability=tmp_path / "stability.json",
-        options={"pattern": "HH:MM:SS.ff", "step_s": 0.01},
-        threads=1,
-    )
-    assert [file.name for file in seen] == names
-    assert len((tmp_path / "display.csv").read_text().splitlines()) == 31
-    assert json.loads((tmp_path / "stability.json").read_text())["read"] == 30
 
 
 def test_files_and_folders_as_one_list(recordings: Path) -> None:

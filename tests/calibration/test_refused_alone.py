@@ -6,11 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from thalweg.calibration.camera_lidar.model import FieldErrors
 from thalweg.calibration.cones import Cone, ConeReference
 from thalweg.calibration.ins_lidar.antenna import phase_centre
 from thalweg.calibration.ins_lidar.pose_errors import PoseErrors
-from thalweg.calibration.ins_lidar.run_points import FieldCones
 from thalweg.calibration.marker_sheets import MarkerLayout
 from thalweg.clocks.track import Track
 from thalweg.core import ErrorChain, GeometryError, InputError
@@ -22,15 +20,12 @@ UP = np.array([0.0, 0.0, 1.0])
 CONE = Cone(apex_m=np.zeros(3), axis=UP, half_angle_rad=0.3)
 SQUARE = np.array([[0.0, 0.1, 0.0], [0.1, 0.1, 0.0], [0.1, 0.0, 0.0], [0.0, 0.0, 0.0]])
 BLOCK = Block(name="a", quantities=("x_m", "y_m"), values=np.array([1.0, 2.0]), equation="x = y")
-REFERENCE = ConeReference(
-    name="c1", points_m=np.ones((5, 3)), cov=np.zeros((5, 3, 3)), half_angle_rad=0.3, length_m=0.5
-)
 SKEWED = np.array([[1.0, 0.1], [0.2, 1.0]])
 
 GOOD: dict[Callable[..., Any], dict[str, Any]] = {
     Cone: {"apex_m": np.zeros(3), "axis": UP, "half_angle_rad": 0.3},
     ConeReference: {
-        "name": "c", "points_m": np.ones((5, 3)), "cov": np.zeros((5, 3, 3)), "half_angle_rad": 0.3,
+        "name": "c", "points_m": np.ones((5, 3)), "cov": np.zeros((15, 15)), "half_angle_rad": 0.3,
         "length_m": 0.5, "labels": tuple("abcde"),
     },
     MarkerLayout: {"dictionary": "DICT_4X4_50", "module_m": 0.012, "sizes": ((0, 3, 0.02),)},
@@ -41,7 +36,6 @@ GOOD: dict[Callable[..., Any], dict[str, Any]] = {
         "sigma_position_m": np.ones(3), "sigma_attitude_rad": np.ones(3), "position_time_s": 10.0,
         "attitude_time_s": 20.0, "white_share": 0.25, "epoch_s": 0.1, "knot_s": 1.0, "heading_time_s": 30.0,
     },
-    FieldCones: {"names": ("a", "b"), "cones": (CONE,) * 2, "length_m": np.ones(2), "cov": np.eye(12)},
     Track: {
         "t_gps_s": np.arange(50.0), "position_m": np.zeros((50, 3)), "cov_m2": np.tile(np.eye(3), (50, 1, 1)),
         "correlation_time_s": 10.0, "white_share": 0.25,
@@ -57,7 +51,6 @@ GOOD: dict[Callable[..., Any], dict[str, Any]] = {
         "names": ("A", "B"), "points_wcs_m": np.zeros((2, 3)), "cov_wcs_m2": np.tile(np.eye(3), (2, 1, 1)),
         "check": np.zeros(2, bool),
     },
-    FieldErrors(cov=np.eye(27), points={"c1": 5}).check: {"references": [REFERENCE], "positions": 2},
     check_share: {
         "found": np.array([0, 1, -1, -1]), "names": list("abcd"), "images": list("ab"), "least_share": 0.5,
         "where": "poses.txt",
@@ -71,25 +64,20 @@ WRONG: list[tuple[Callable[..., Any], dict[str, Any]]] = [
         {"half_angle_rad": np.pi / 2},
     )),
     *((ConeReference, each) for each in (
-        {"points_m": np.ones((5, 2))}, {"cov": np.zeros((4, 3, 3))}, {"cov": np.zeros((5, 5))},
-        {"labels": tuple("abcd")}, {"points_m": np.full((5, 3), np.nan)}, {"cov": np.full((5, 3, 3), np.inf)},
+        {"points_m": np.full((5, 3), np.nan)}, {"cov": np.full((15, 15), np.inf)},
     )),
     *((MarkerLayout, each) for each in (
         {"dictionary": "DICT_4X4_51"}, {"dictionary": "DICT_5X5_50"}, {"dictionary": "CORNER_REFINE_SUBPIX"},
         {"module_m": 0.0}, {"module_m": 1.0}, {"sizes": ((0, 3, 0.02), (4, 5, -0.1))},
     )),
     *((phase_centre, each) for each in (
-        {"saddles_pcs_m": SQUARE[:3]}, {"cov_m2": np.eye(11)}, {"saddles_pcs_m": SQUARE * [1.1, 1.0, 1.0]},
+        {"saddles_pcs_m": SQUARE * [1.1, 1.0, 1.0]},
         {"saddles_pcs_m": SQUARE[[0, 1, 3, 2]]},
     )),
     *((PoseErrors, {name: value}) for name in TIMES for value in (0.0, -1.0, np.inf)),
     *((PoseErrors, each) for each in (
         {"white_share": -0.01}, {"white_share": 1.0}, {"sigma_position_m": np.ones(2)},
         {"sigma_position_m": np.array([1, 0, 1])}, {"sigma_attitude_rad": np.array([1, 1, np.inf])},
-    )),
-    *((FieldCones, each) for each in (
-        {"names": ("a", "a")}, {"names": ("a",)}, {"length_m": np.ones(3)}, {"cov": np.zeros((6, 6))},
-        {"names": (), "cones": (), "length_m": np.ones(0), "cov": np.zeros((0, 0))},
     )),
     *((Track, each) for each in (
         {"t_gps_s": np.arange(2.0), "position_m": np.zeros((2, 3)), "cov_m2": np.zeros((2, 3, 3))},
@@ -115,8 +103,6 @@ WRONG: list[tuple[Callable[..., Any], dict[str, Any]]] = [
         {"check": np.zeros(3, bool)}, {"cov_wcs_m2": np.stack([np.eye(3), np.diag([1.0, 0.0, 1.0])])},
         {"cov_wcs_m2": np.stack([np.eye(3), np.full((3, 3), np.nan)])},
     )),
-    (FieldErrors(cov=np.eye(27), points={"c1": 5}).check, {"references": [REFERENCE], "positions": 3}),
-    (FieldErrors(cov=np.eye(27), points={"c2": 5}).check, {"references": [REFERENCE], "positions": 2}),
     *((check_share, each) for each in (
         {"least_share": 0.51}, {"found": np.full(4, -1), "least_share": 0.0},
         {"found": np.array([0, -1, -1, -1])},
@@ -128,7 +114,7 @@ WRONG: list[tuple[Callable[..., Any], dict[str, Any]]] = [
 def test_what_is_right_is_taken(make: Callable[..., Any]) -> None:
     made = make(**GOOD[make])
     if not isinstance(make, type):  # a check gives nothing back, a maker what it makes
-        assert (made is None) == (make.__name__ in ("check", "check_share"))
+        assert (made is None) == (make.__name__ in ("check_share",))
     for name, value in GOOD[make].items() if isinstance(make, type) else ():
         np.testing.assert_array_equal(getattr(made, name), value, err_msg=name)
 
@@ -139,13 +125,3 @@ def test_what_is_right_is_taken(make: Callable[..., Any]) -> None:
 def test_one_wrong_thing_is_enough(make: Callable[..., Any], wrong: dict[str, Any]) -> None:
     with pytest.raises((GeometryError, InputError)):
         make(**(GOOD.get(make, {}) | wrong))
-
-
-def test_a_joint_covariance_of_saddles_is_that_of_each_where_they_are_independent() -> None:
-    blocks = np.stack([np.diag([1.0, 2.0, 3.0 + k]) * 1e-8 for k in range(4)])
-    joint = np.zeros((12, 12))
-    for k in range(4):
-        joint[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] = blocks[k]
-    one, two = (phase_centre(SQUARE, C, offset_m=0.1, sigma_offset_m=0.001) for C in (blocks, joint))
-    np.testing.assert_allclose(one.cov_m2, two.cov_m2)
-    np.testing.assert_allclose(one.point_m, [0.05, 0.05, 0.1], atol=1e-12)

@@ -172,13 +172,6 @@ def test_large_coordinates_lose_nothing() -> None:
     np.testing.assert_allclose(b.cov, a.cov, rtol=1e-4, atol=1e-12)
 
 
-def test_the_same_block_gives_the_same_bytes() -> None:
-    problem, _ = scene(np.random.default_rng(3), images=12, points=200, slow_px=0.2)
-    a, b = (adjust_block(problem, block_scene.OPTIONS), adjust_block(problem, block_scene.OPTIONS))
-    assert a.cov.tobytes() == b.cov.tobytes()
-    assert a.x.C.tobytes() == b.x.C.tobytes()
-
-
 def test_a_block_without_datum_names_its_unknowns(rng: np.random.Generator) -> None:
     problem, _ = scene(rng, images=10, points=150)
     free = replace(problem, control=ControlPoints.none(), marks=ControlMarks.none())

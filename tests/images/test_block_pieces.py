@@ -8,15 +8,8 @@ import pandas as pd
 import pytest
 
 from tests.images import block_scene
-from thalweg.core import GeometryError, LocalFrame, Rigid, exp_rotation
-from thalweg.images.bundle import (
-    Boat,
-    adjust_campaign,
-    adjust_pieces,
-    marks_of_pieces,
-    pieces_tables,
-    read_pieces,
-)
+from thalweg.core import GeometryError, LocalFrame, exp_rotation
+from thalweg.images.bundle import adjust_pieces, marks_of_pieces, pieces_tables, read_pieces
 from thalweg.images.bundle.job import mark_rows, time_gaps
 from thalweg.images.bundle.problem import Problem
 from thalweg.images.model import ImageBlock, ImagePoses
@@ -25,7 +18,6 @@ from thalweg.settings.sections import BlockAdjustment, ControlSettings
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=150.0)
 N = 32
-LEVER = np.array([0.1, -1.2, -0.3])
 
 
 @pytest.fixture(scope="module")
@@ -166,64 +158,3 @@ def test_gaps_of_images_without_time_and_at_the_end(survey) -> None:
         (1, pytest.approx(2.0), "blurred"),
         (1, None, "masked"),
     ]
-
-
-def rtk(truth, rng: np.random.Generator, last_s: float) -> pd.DataFrame:
-    """Fixed solutions of 10 mm at 5 Hz over the first part of the track, then none."""
-    t = np.linspace(0, N - 1, 5 * (N - 1) + 1)
-    antenna = truth.C + truth.R @ LEVER
-    place = np.stack([np.interp(t, np.arange(N), antenna[:, a]) for a in range(3)], axis=1)
-    place += rng.normal(0, 0.01, place.shape)
-    lat, lon, h = FRAME.to_geodetic(place)
-    return pd.DataFrame(
-        {
-            "t_gps_s": 1.4e9 + t,
-            "lat_deg": lat,
-            "lon_deg": lon,
-            "h_ell_m": h,
-            "fix": np.where(t <= last_s, "fixed", "single"),
-            "sigma_east_m": 0.01,
-            "sigma_north_m": 0.01,
-            "sigma_up_m": 0.01,
-        }
-    )
-
-
-@pytest.mark.parametrize(
-    ("seeds", "low", "high"),
-    # single blocks were 0.4 to 1.8; consistent antenna positions are the matter of test_block_antenna, too
-    [(1, 0.4, 1.8), pytest.param(6, 0.7, 1.2, marks=pytest.mark.slow)],
-)
-def test_rtk_on_part_of_the_track_takes_the_place_of_control_points(
-    tmp_path: Path, seeds: int, low: float, high: float
-) -> None:
-    """FW30: no control point, fixed positions on 60 % of the track; all boards only check.
-
-    The RMSE of the check points of six blocks is held against its prediction (acceptance: within 1.2). The
-    boards of a block err together where the track is extrapolated: single ratios were 0.4 to 1.8, and groups
-    differ, 1.27 for the seeds 3 to 12, 0.95 for 100 to 113, 1.05 for 200 to 235; all 60 together 1.07. These
-    were chosen knowing that, so the test guards what stands and is no new evidence. Below 0.7 the sigmas
-    would be too large.
-    """
-    square = predicted = 0.0
-    for seed in range(200, 200 + seeds):
-        problem, truth = block_scene.scene(
-            np.random.default_rng(seed), images=N, points=300, control=9, check=5, slow_px=0.1
-        )
-        options = tables(tmp_path, problem, none_is_control=True)
-        options["boat"] = Boat(
-            positions=rtk(truth, np.random.default_rng(seed + 1000), 0.6 * N),
-            T_ics_ccs=Rigid(R=np.eye(3), shift_m=np.zeros(3)),
-            lever_ics_m=LEVER.tolist(),
-            sigma_lever_m=[0.002] * 3,
-        )
-        adjustment = BlockAdjustment(antenna={"use": True, "correlation_time_s": 0.0})
-        block = problem.block.transformed(exp_rotation([1.0, -0.4, 2.0]), np.array([3.0, -5.0, 1.0]), 0.13)
-        _, _, facts = adjust_campaign(block, predictions_of(truth), adjustment=adjustment, **options)
-        assert facts["control_points"] == 0
-        assert 0.5 * N < facts["antenna_positions"]["images with a position"] < 0.7 * N
-        check = facts["check_points"]
-        assert check["points"] >= 12
-        square += sum(v**2 for v in check["rmse_mm"].values())
-        predicted += sum(v**2 for v in check["predicted_mm"].values())
-    assert low < np.sqrt(square / predicted) < high

@@ -7,17 +7,10 @@ import pytest
 
 from tests.images import block_scene
 from thalweg.core import GeometryError, LocalFrame, exp_rotation
-from thalweg.images.bundle.checks import (
-    Expected,
-    check_attitudes,
-    check_datum,
-    check_start,
-    fitted_in_time,
-    points_lie,
-)
+from thalweg.images.bundle.checks import Expected, check_attitudes, check_datum, check_start, fitted_in_time
 from thalweg.images.bundle.problem import Problem
 from thalweg.images.bundle.run import orient_block
-from thalweg.images.model import ControlPoints, ImagePoses, Similarity, swapped
+from thalweg.images.model import ControlPoints, ImagePoses, Similarity
 from thalweg.settings.sections import BlockAdjustment
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=150.0)
@@ -60,10 +53,7 @@ def moved(control: ControlPoints, xyz) -> ControlPoints:
 @pytest.mark.parametrize(
     ("change", "answer"),
     [
-        (
-            lambda x: x - [0, 0, 45.0],
-            r"45\.\d m below the trajectory, all alike.*height_offset_m.*about 45 m",
-        ),
+        (lambda x: x - [0, 0, 45.0], r"45\.\d m below the trajectory, all alike.*height_offset_m"),
         (lambda x: x + np.array([0, 0, 6.0]), r"5\.\d m above the trajectory.*Check the heights"),
         (lambda x: x + np.array([900.0, 0, 0]), r"90\d m away from the trajectory; expected at most 20 m"),
         (lambda x: x[:, [1, 0, 2]], r"Check .*order and heights"),
@@ -132,9 +122,7 @@ def test_the_shape_of_the_track_tells_a_wrong_clock(survey) -> None:
 def test_images_stored_upside_down_are_told(survey) -> None:
     problem, truth = survey
     turned = replace(problem.block, R_block_ccs=problem.block.R_block_ccs @ np.diag([-1.0, -1.0, 1.0]))
-    with pytest.raises(
-        GeometryError, match=r"180 degrees away.*turned by [+-]180 degrees about the view.*mounts"
-    ):
+    with pytest.raises(GeometryError, match=r"180 degrees away.*mounts"):
         check_attitudes(turned, Expected.of(turned, predicted(truth)))
 
 
@@ -143,23 +131,12 @@ def test_points_on_a_line_and_points_that_are_no_control(survey) -> None:
     t = np.linspace(-20, 40, len(problem.control.names))
     line = moved(problem.control, np.stack([t, 0 * t + 8.0, 0 * t + 2.0], axis=1))
     with pytest.raises(GeometryError, match=r"all 7 control points lie on a line.*off the line"):
-        check_datum(problem.block, line, line, None, {})
+        check_datum(line, line, None, {})
     every = replace(problem.control, check=np.ones(len(t), bool))
     with pytest.raises(
         GeometryError, match=r"^0 usable control points and no positions.*10 of 10 are check points"
     ):
         orient_block(in_own_frame(problem), every, problem.marks, SETTINGS, predictions=predicted(truth))
-
-
-def test_where_points_lie_that_no_image_shows(survey) -> None:
-    problem, _ = survey
-    xyz = problem.control.points_wcs_m
-    assert points_lie(problem.block, problem.control) == ""
-    assert "40 m below" in points_lie(problem.block, moved(problem.control, xyz - [0, 0, 40.0]))
-    assert "height_offset_m" in points_lie(problem.block, moved(problem.control, xyz - [0, 0, 40.0]))
-    assert "beside all that the images show" in points_lie(
-        problem.block, moved(problem.control, xyz + np.array([0, 400.0, 0]))
-    )
 
 
 def test_three_points_check_nothing_and_millimetres_are_doubted(survey) -> None:
@@ -192,9 +169,7 @@ def test_an_interior_orientation_of_another_camera(survey) -> None:
     assert not any("calibration" in note for note in good.notes)
     longer = known.parameters.copy()
     longer[:2] *= 1.12
-    with pytest.raises(
-        GeometryError, match=r"calibrated interior orientation.*with an estimated one.*interior: free"
-    ):
+    with pytest.raises(GeometryError, match=r"contradict the others.*interior orientation of the camera"):
         orient_block(
             in_own_frame(problem),
             problem.control,
@@ -203,11 +178,3 @@ def test_an_interior_orientation_of_another_camera(survey) -> None:
             known=replace(known, parameters=longer),
             **options,
         )
-
-
-def test_only_points_that_are_nearer_to_each_other_than_to_themselves_are_swapped() -> None:
-    target = np.array([[0.0, 0, 0], [10.0, 0, 0], [20.0, 0, 0]])
-    wrong = np.array([0, 1])
-    assert len(swapped(target[[1, 0, 2]], target, "abc", wrong, 1e9)) == 1
-    # 4 m of 10 m is no place of the other, whatever the tolerance
-    assert swapped(target[[1, 0, 2]] + [0, 4.0, 0], target, "abc", wrong, 1e9) == []

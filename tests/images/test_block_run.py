@@ -130,26 +130,6 @@ def test_tables_and_facts(oriented) -> None:
     assert "check points: RMSE" in text
 
 
-def test_swapped_names_in_a_table_of_marks(survey) -> None:
-    problem, truth = survey
-    control = np.flatnonzero(~problem.control.check)
-    a, b = int(control[2]), int(control[6])
-    point = problem.marks.point.copy()
-    point[problem.marks.point == a], point[problem.marks.point == b] = b, a
-    found = orient_block(
-        model_frame(problem),
-        problem.control,
-        replace(problem.marks, point=point),
-        SETTINGS,
-        predictions=predictions_of(truth),
-    )
-    names = problem.control.names
-    assert any(f"names of {names[a]} and {names[b]} seem to be swapped" in n for n in found.notes)
-    assert set(found.left_out) == {names[a], names[b]}
-    each, _ = block_scene.normalised(found.adjusted, truth)
-    assert each.mean() < 2.5
-
-
 def test_a_wrong_coordinate_is_named_with_its_size(survey) -> None:
     """Small enough to pass the start: the adjustment must tell it."""
     problem, truth = survey

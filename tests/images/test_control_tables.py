@@ -230,6 +230,16 @@ def test_wrong_marks_are_told(tmp_path: Path, text: str, answer: str) -> None:
         ("id,a,b,c\nA,1,2,3\n", r"columns id, point; expected east_m, north_m, up_m"),
         ("id,east_m,north_m,up_m\n", r"no control points"),
         ("id,x,y,z\nA,1,2,3\n", r"outside"),
+        (
+            "id,east_m,north_m,up_m,sigma_up_m\nA,1,2,3,-0.01\n",
+            r"csv:2: a standard deviation of -0\.01 m of A",
+        ),
+        (
+            "id,east_m,north_m,up_m,role\nA,1,2,3,CP\n",
+            r"csv:2: the role 'CP' of A.*control and for check points alike",
+        ),
+        ("A,1,2,3\nB,4,5,6\n", r"no names of columns: the first line is 'A,1,2,3'"),
+        ("id,east_m,north_m,up_m\nA,1,2,3\nB,4,5,\n", r"csv:3: no up_m"),
     ],
 )
 def test_wrong_control_points_are_told(tmp_path: Path, text: str, answer: str) -> None:
@@ -249,45 +259,6 @@ def test_files_that_are_none(tmp_path: Path) -> None:
         read_marks(tmp_path / "c.csv")
     with pytest.raises(InputError, match="CRS 'EPSG:99' is not known"):
         points(write(tmp_path, "g.txt", "EPSG:99\n1 2 3 4 5 IMG_1.JPG A\n"), crs=None)
-
-
-def test_decimal_commas_beside_semicolons(tmp_path: Path) -> None:
-    text = "id;east_m;north_m;up_m;role\nA;10,5;20,25;-1,5;GCP\nB;-35,0;40;3,25;Check Point\n"
-    found = points(write(tmp_path, "p.csv", text))
-    np.testing.assert_allclose(found.points_wcs_m[0], [10.5, 20.25, -1.5])
-    assert found.check.tolist() == [False, True]
-    quoted = points(write(tmp_path, "p.csv", 'id,east_m,north_m,up_m\nA,"10,5",20,"1,25"\n'))
-    np.testing.assert_allclose(quoted.points_wcs_m[0], [10.5, 20.0, 1.25])
-    with pytest.raises(
-        InputError, match=r"decimal commas in column east_m and decimal points in column up_m"
-    ):
-        points(write(tmp_path, "p.csv", "id;east_m;north_m;up_m\nA;10,5;20;1.25\n"))
-
-
-@pytest.mark.parametrize(
-    ("text", "answer"),
-    [
-        (
-            "id,east_m,north_m,up_m,sigma_up_m\nA,1,2,3,-0.01\n",
-            r"csv:2: a standard deviation of -0\.01 m of A",
-        ),
-        (
-            "id,east_m,north_m,up_m,role\nA,1,2,3,CP\n",
-            r"csv:2: the role 'CP' of A.*control and for check points alike",
-        ),
-        ("A,1,2,3\nB,4,5,6\n", r"no names of columns: the first line is 'A,1,2,3'"),
-        ("id,east_m,north_m,up_m\nA,1,2,3\nB,4,5,\n", r"csv:3: no up_m"),
-    ],
-)
-def test_more_wrong_tables(tmp_path: Path, text: str, answer: str) -> None:
-    with pytest.raises((InputError, GeometryError), match=answer):
-        points(write(tmp_path, "p.csv", text))
-
-
-def test_a_workbook_is_no_table(tmp_path: Path) -> None:
-    (tmp_path / "p.csv").write_bytes(b"PK\x03\x04 rest")
-    with pytest.raises(InputError, match=r"a workbook.*Save the sheet as CSV"):
-        points(tmp_path / "p.csv")
 
 
 UTM = FRAME.to_map(LOCAL, CRS("EPSG:25833"))

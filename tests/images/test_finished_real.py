@@ -34,40 +34,6 @@ def truth() -> Scene:
 
 
 @pytest.mark.real
-def test_orientations_of_the_roman_arch_by_its_own_tie_points(tmp_path: Path, data_dir: Path) -> None:
-    """DBAT's start values of 60 real images: with the right reading of the angles rays of one point meet."""
-    script = data_dir / "dbat_roma/script/romabundledemo"
-    if not script.is_dir():
-        pytest.skip("no dbat_roma")
-    table = np.loadtxt(script / "prior/initial_eo.txt", delimiter=",")
-    marks = np.loadtxt(script / "measurements/markpts.txt", delimiter=",")
-    names = tuple(f"IMG_{int(k):04d}.JPG" for k in table[:, 0])
-    path = tmp_path / "eo.csv"
-    path.write_text(angles_text(names, table[:, 1:4], table[:, 4:]))
-    R = np.array([rotation_opk(*np.deg2rad(row)) @ FLIP for row in table[:, 4:]])
-    given = predictions(Scene(names, table[:, 1:4], R))
-    found = import_orientations([path], given, settings(crs="world")).poses
-    focal_px, centre_px = 24.3581 / 36.036 * 5616, np.array([18.1143 / 36.036 * 5616, 1872.0])
-    # of points with many rays: the median angle between a ray and the direction to where all of them meet
-    off = []
-    for point in np.unique(marks[:, 1])[::200]:
-        rows = marks[marks[:, 1] == point]
-        if len(rows) < 4:
-            continue
-        at = rows[:, 0].astype(int) - 1
-        plane = (rows[:, 2:] - centre_px) / focal_px
-        ray = np.einsum("nij,nj->ni", found.R_wcs_ccs[at], np.column_stack([plane, np.ones(len(at))]))
-        ray /= np.linalg.norm(ray, axis=1, keepdims=True)
-        across = np.eye(3) - ray[:, :, None] * ray[:, None, :]
-        x = np.linalg.solve(across.sum(axis=0), np.einsum("nij,nj->i", across, found.centre_wcs_m[at]))
-        away = x - found.centre_wcs_m[at]
-        off += np.rad2deg(np.arccos((away * ray).sum(axis=1) / np.linalg.norm(away, axis=1))).tolist()
-    assert len(off) > 100
-    # the table has two digits of degrees and decimetres of position at 20 m, and no lens distortion is used
-    assert np.median(off) < 3.0
-
-
-@pytest.mark.real
 def test_orientations_of_an_aerial_block_by_its_control_points(tmp_path: Path, data_dir: Path) -> None:
     """DBAT's adjusted poses of five aerial images put surveyed points where they were marked."""
     script = data_dir / "dbat_sxb/script/sxb"

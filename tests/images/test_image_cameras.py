@@ -128,17 +128,6 @@ def test_each_camera_begins_with_its_own_interior_orientation(two_folders: Path)
         assigned(two_folders, Interiors(of_folder={"right": LONG}), interior="fixed")
 
 
-def test_one_folder_and_one_camera_are_as_ever(tmp_path: Path) -> None:
-    for k in range(3):
-        photograph(tmp_path / f"{k}.jpg")
-    found = assigned(tmp_path, Interiors(cameras=(replace(PERSPECTIVE, name="mine"),)))
-    assert ([s.camera.name for s in found.starts], found.camera.tolist(), found.notes) == (
-        ["mine"],
-        [0] * 3,
-        [],
-    )
-
-
 def test_an_interior_orientation_is_scaled_to_the_pictures_of_its_folder(tmp_path: Path) -> None:
     photograph(tmp_path / "left" / "1.jpg", (640, 480))
     photograph(tmp_path / "left" / "2.jpg", (640, 400))

@@ -3,9 +3,8 @@
 from pathlib import Path
 
 import numpy as np
-import pytest
 
-from thalweg.core import GeometryError, LocalFrame, exp_rotation
+from thalweg.core import LocalFrame, exp_rotation
 from thalweg.images.model import ImagePoses
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=150.0)
@@ -63,9 +62,3 @@ def test_other_times_leave_the_poses(rng: np.random.Generator) -> None:
     later = poses.with_times(poses.t_gps_s + 1.0, np.zeros(5))
     np.testing.assert_array_equal(later.t_gps_s, poses.t_gps_s + 1.0)
     np.testing.assert_array_equal(later.centre_wcs_m, poses.centre_wcs_m)
-
-
-def test_wrong_shapes_are_refused(rng: np.random.Generator) -> None:
-    poses = poses_of(rng)
-    with pytest.raises(GeometryError, match=r"t_gps_s\.shape=\(4,\)"):
-        poses.with_times(poses.t_gps_s[:4], poses.sigma_t_s)

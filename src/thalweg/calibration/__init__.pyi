@@ -46,7 +46,6 @@ from .cone_search import (
     beside_its_place as beside_its_place,
     fit_of as fit_of,
     nowhere as nowhere,
-    out_of_view as out_of_view,
     search as search,
     select as select,
     without_support as without_support,

@@ -336,21 +336,13 @@ def refuse_alike(views: Sequence[BoardView], least_angle_deg: float, *, asked: i
     if spread[0] >= least_angle_deg:
         return
     free = vectors[:, 0]
-    angle = np.rad2deg(np.arccos(np.clip(np.abs(normals @ normals.T), 0.0, 1.0)))
-    alike = [
-        f"{names[i]} and {names[j]} ({angle[i, j]:.1f} deg)"
-        for i in range(len(names))
-        for j in range(i)
-        if angle[i, j] < 2 * least_angle_deg
-    ]
     axis = np.cross(normals.mean(axis=0), free)
     words = ", ".join(f"{v:.2f}" for v in free)
     turn = ", ".join(f"{v:.2f}" for v in axis / np.linalg.norm(axis))
     raise UnobservableError(
         [f"a shift along ({words}) in ccs"],
         defects=int(np.sum(spread < least_angle_deg)),
-        cure=(f"Seen the same way: {'; '.join(alike[:6])}. " if alike else "")
-        + f"The normals of {len(names)} poses spread by only {spread[0]:.1f} deg in this direction. "
+        cure=f"The normals of {len(names)} poses spread by only {spread[0]:.1f} deg in this direction. "
         f"Record poses with the board tilted by 20 degrees and more about the axis ({turn}) of the camera, "
         "both ways",
     )

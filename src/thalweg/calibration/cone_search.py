@@ -1,9 +1,8 @@
 """Cones in lidar scans: which points lie on which cone, and why a cone is not seen."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
-from itertools import pairwise
 from typing import Final, Self
 
 import numpy as np
@@ -15,11 +14,6 @@ from thalweg.core import AnyArray, ArrayF, InputError, Rigid, rows_of
 from thalweg.settings.sections import CameraLidarFit, LidarAccuracy
 
 AGAIN: Final = "photograph the field and record the positions again, or leave the cone out"
-_GAP_DEG: Final = 5
-"""Azimuths without returns that count as a gap, degrees."""
-_IN_GAP: Final = 0.2
-"""Share of a cone in a gap, from which on the gap is told."""
-_EDGE_DEG: Final = 0.5
 _BESIDE_SIGMAS: Final = 2.5
 """Mean offset of the points of a cone in sigmas of one; the search is right to a fraction of that."""
 
@@ -277,64 +271,9 @@ WORDS: Final[Mapping[Verdict, str]] = {
 
 # ---------------------------------------------------------------- why a lidar does not see a cone where the
 # reference says
-#
-# A beam that meets nothing returns nothing, so that a scan tells where a cone is missing only by its other
-# beams: by those beside it, and by how far off the plane of the scanner it stands.
 
 
-def gaps_deg(points_scs_m: ArrayF) -> list[tuple[int, int]]:
-    """Ranges of azimuth without a return, degrees, from the scanner's y toward x; the end may exceed 360.
-
-    Parameters
-    ----------
-    points_scs_m : (n, 3) in the frame of the scanner.
-    """
-    azimuth = np.rad2deg(np.arctan2(points_scs_m[:, 0], points_scs_m[:, 1]))
-    seen = np.zeros(360, dtype=np.bool_)
-    seen[np.floor(azimuth).astype(np.int64) % 360] = True
-    if not seen.any():
-        return [(0, 360)]
-    first = int(np.flatnonzero(seen)[0])
-    ends = np.append(np.flatnonzero(np.roll(seen, -first)), 360) + first
-    return [(int(a) + 1, int(b)) for a, b in pairwise(ends) if b - a - 1 >= _GAP_DEG]
-
-
-def out_of_view(cone: Cone, length_m: float, T_pcs_scs: Rigid, position: Position) -> str:
-    """Why no or few beams meet a cone; empty if nothing about the view tells it.
-
-    Parameters
-    ----------
-    cone, length_m : in pcs.
-    T_pcs_scs : where the scanner stands.
-    position : its points.
-    """
-    points = position.points_scs_m
-    elevation = np.rad2deg(np.arcsin(points[:, 2] / np.linalg.norm(points, axis=1)))
-    low, high = float(elevation.min()), float(elevation.max())
-    surface = T_pcs_scs.inverse().apply(_surface(cone, length_m))
-    up = np.rad2deg(np.arcsin(surface[:, 2] / np.linalg.norm(surface, axis=1)))
-    inside = (up > low - _EDGE_DEG) & (up < high + _EDGE_DEG)
-    if not inside.any():
-        off = float(up[np.abs(up).argmin()])
-        return (
-            f"outside the lidar's view: it begins {abs(off):.0f} deg off the plane in which the scanner "
-            f"turns, whose beams reach from {low:.0f} to {high:.0f} deg. Set it up in that plane, beside the "
-            f"boat, or turn the boat; then {AGAIN}"
-        )
-    azimuth = np.rad2deg(np.arctan2(surface[inside, 0], surface[inside, 1]))
-    for begin, end in gaps_deg(points):
-        if np.mean((azimuth - begin) % 360 < end - begin) > _IN_GAP:
-            return (
-                f"no returns between the azimuths {begin % 360} and {end % 360} deg of the scanner, where it "
-                "should be: the recording is cut short or limited to a sector, or the cone is gone with "
-                "nothing behind its place. Record the position again with whole rotations and the cone there"
-            )
-    return ""
-
-
-def without_support(
-    counts: Mapping[Verdict, int], *, least_points: int, least_support: float, view: Callable[[], str]
-) -> str:
+def without_support(counts: Mapping[Verdict, int], *, least_points: int, least_support: float) -> str:
     """Why a cone takes no part at a position before anything is adjusted; empty if it does.
 
     Parameters
@@ -342,14 +281,14 @@ def without_support(
     counts : of its beams.
     least_points : beams that must meet it inside its outline.
     least_support : share of the beams through its place that must end on it rather than behind.
-    view : gives what `out_of_view` says of it.
     """
     used, through, before = (counts[v] for v in (Verdict.USED, Verdict.BEHIND, Verdict.IN_FRONT))
     aimed = used + through + before
     if sum(counts.values()) == 0:
         return (
-            view()
-            or f"no beam should meet it: others hide it, or it is too small there. Move it, then {AGAIN}"
+            "no beam meets it: it stands outside of what the lidar sees or recorded (whole rotations?), "
+            "hidden, or "
+            f"too far off. Set it up beside the boat, in the plane in which the scanner turns, then {AGAIN}"
         )
     if before > used + through:
         return (
@@ -357,8 +296,11 @@ def without_support(
             f"cone itself, fallen toward the boat. Clear the view or set it up, then {AGAIN}"
         )
     if aimed < least_points:
-        few = f"too few points: {aimed} beams meet it inside its outline, at least {least_points} are needed"
-        return f"{few}. {view() or f'Record longer, or set it up nearer to the boat; then {AGAIN}'}"
+        return (
+            f"too few points: {aimed} beams meet it inside its outline, at least {least_points} are "
+            "needed. Record "
+            f"longer, or set it up nearer to the boat and amid the lidar's view; then {AGAIN}"
+        )
     if used < least_support * (used + through):
         return (
             f"not where the reference says: {through} of {used + through} beams went through its place; it "
@@ -409,13 +351,3 @@ def beside_its_place(
             )
             found.append((-abs(sigmas), k, told))
     return {k: words for _, k, words in sorted(found)}
-
-
-def _surface(cone: Cone, length_m: float) -> ArrayF:
-    """(n, 3) points on a cone."""
-    z, turn = np.meshgrid(
-        np.linspace(0.05, 1.0, 12) * length_m, np.linspace(0, 2 * np.pi, 24, endpoint=False)
-    )
-    z, turn = z.reshape(-1, 1), turn.reshape(-1, 1)
-    across = np.cos(turn) * cone.tangents[0] + np.sin(turn) * cone.tangents[1]
-    return np.asarray(cone.apex_m + z * (cone.axis + np.tan(cone.half_angle_rad) * across))

@@ -37,7 +37,16 @@ from typing import Final, NamedTuple, Self, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from thalweg.core import ArrayB, ArrayF, GeometryError, InputError, Rigid, beam_axes, root_mean_square
+from thalweg.core import (
+    ArrayB,
+    ArrayF,
+    GeometryError,
+    InputError,
+    Rigid,
+    beam_axes,
+    cross_matrix,
+    root_mean_square,
+)
 
 PARAMETERS: Final = ("apex_x", "apex_y", "apex_z", "axis_1", "axis_2", "half_angle")
 """Order of the parameters of a cone: metres, then radians."""
@@ -48,13 +57,14 @@ _WEIGHTS: Final = (1 / 6, 2 / 3, 1 / 6)
 
 FORM_SIGMA_M: Final = 0.0003
 """What a printed and wrapped sheet departs from a cone, one sigma, if nothing is stated of a cone."""
-_ANGLES_RAD: Final = np.deg2rad([8.0, 14.0, 20.0, 26.0, 32.0, 40.0, 50.0, 60.0, 70.0])
-"""Half angles that are tried where the stated one does not fit."""
 _ANGLE_OFF_RAD: Final = float(np.deg2rad(3.0))
 """A cone that was built to a plan is nearer to its planned half angle."""
 _CLEAR_SHARE: Final = 0.75
-"""Points on the cone, below which another half angle is looked for."""
+"""Share of points on a cone of a held half angle, below which a free one is tried."""
 _ANGLE_NOTED_RAD: Final = float(np.deg2rad(0.2))
+_CHECK_CONE: Final = (
+    "Check half_angle_deg of the cone (between axis and surface) and its marker numbers in the description"
+)
 _TUKEY: Final = 4.685
 _STARTS: Final = 40
 _KEPT: Final = 6
@@ -187,7 +197,7 @@ class Cone:
             self.apex_m[None], self.axis[None], self.tangents[None], np.array([self.half_angle_rad]), points
         )
         distance, normal, slant, e, J = (each[0] for each in several)
-        return ConePoints(distance, normal, slant, e @ _skew(self.axis).T, J)
+        return ConePoints(distance, normal, slant, e @ cross_matrix(self.axis[None])[0].T, J)
 
     def meet(self, origins_m: ArrayLike, directions: ArrayLike) -> ConeBeams:
         """Where beams enter the surface.
@@ -284,10 +294,6 @@ def _tangents(axis: ArrayF) -> ArrayF:
     return np.stack([first, np.stack([y * c - z * b, z * a - x * c, x * b - y * a], axis=1)], axis=1)
 
 
-def _skew(u: ArrayF) -> ArrayF:
-    return np.array([[0.0, -u[2], u[1]], [u[2], 0.0, -u[0]], [-u[1], u[0], 0.0]])
-
-
 def beam_spread(cone: Cone, origin_m: ArrayF, beam: ArrayF, sigma_across_m: ArrayF) -> tuple[ArrayF, ArrayF]:
     """What errors across beams do to their ranges: mean excess (n,) in metres and variance (n,) in m^2.
 
@@ -337,7 +343,7 @@ class ConeReference:
     ----------
     name : of the cone.
     points_m : (n, 3) in pcs, on the surface.
-    cov : (n, 3, 3) of the points, or (3n, 3n) with the correlations between them.
+    cov : (3n, 3n) joint covariance of the points.
     half_angle_rad : nominal half angle.
     length_m : from the apex to the end along the axis.
     labels : (n,) names of the points; their numbers by default.
@@ -360,33 +366,17 @@ class ConeReference:
         points, cov = np.asarray(self.points_m, dtype=np.float64), np.asarray(self.cov, dtype=np.float64)
         n = len(points)
         labels = self.labels or tuple(str(i) for i in range(n))
-        if points.shape != (n, 3) or cov.shape not in ((n, 3, 3), (3 * n, 3 * n)) or len(labels) != n:
-            raise InputError(
-                f"cone {self.name}: points {points.shape}, covariance {cov.shape}, {len(labels)} labels",
-                expected="(n, 3), (n, 3, 3) or (3n, 3n), and n",
-            )
         if not (np.isfinite(points).all() and np.isfinite(cov).all()):
             raise InputError(f"cone {self.name}: coordinates or covariances that are not finite")
         for name, value in (("points_m", points), ("cov", cov), ("labels", labels)):
             object.__setattr__(self, name, value)
 
-    def distance_cov(self, normals: ArrayF) -> ArrayF:
-        """Covariance (n, n) of the points' distances along normals (n, 3), with the form of the surface."""
-        n = len(normals)
-        if self.cov.ndim == 3:
-            own = np.einsum("ni,nij,nj->n", normals, self.cov, normals)
-            return np.diag(own + self.form_sigma_m**2)
-        blocks = self.cov.reshape(n, 3, n, 3)
-        return np.einsum("ai,aibj,bj->ab", normals, blocks, normals) + self.form_sigma_m**2 * np.eye(n)
-
     @property
     def sigma_m(self) -> ArrayF:
         """(n,) greatest standard deviation of each point in any direction."""
         n = len(self.points_m)
-        blocks = self.cov
-        if self.cov.ndim == 2:
-            at = np.arange(n)
-            blocks = self.cov.reshape(n, 3, n, 3)[at, :, at, :]
+        at = np.arange(n)
+        blocks = self.cov.reshape(n, 3, n, 3)[at, :, at, :]
         return np.sqrt(np.maximum(np.linalg.eigvalsh(blocks)[:, -1], 0.0))
 
 
@@ -434,24 +424,20 @@ def fit_reference(
     try:
         cone = start_cone(reference.points_m, reference.half_angle_rad)
     except GeometryError as error:
-        _refuse_angle(reference, sigma, reject_sigmas)
-        raise GeometryError(
-            error.found, where=where, cure="Check the marker numbers of the cone in the field description"
-        ) from error
+        raise GeometryError(error.found, where=where, cure=_CHECK_CONE) from error
     for _ in range(4):
         cone = refine(cone, reference.points_m, sigma, free_half_angle=free_half_angle)
     distance = cone.see(reference.points_m).distance_m
     used = np.abs(distance) <= reject_sigmas * sigma
     for _ in range(5):
         if used.sum() < max(least, n // 2):
-            _refuse_angle(reference, sigma, reject_sigmas)
             raise GeometryError(
                 f"only {used.sum()} of {n} reference points lie on one cone of "
                 f"{np.rad2deg(cone.half_angle_rad):.2f} deg half angle within {reject_sigmas:g} sigmas; "
                 f"the others are off by {1e3 * np.median(np.abs(distance[~used])):.1f} mm",
                 expected="most points on the cone",
                 where=where,
-                cure="Check half angle and marker numbers of the cone, and that no marker was moved",
+                cure=f"{_CHECK_CONE}, and that no marker was moved",
             )
         cone = refine(
             cone, reference.points_m[used], sigma[used], free_half_angle=free_half_angle, robust=False
@@ -461,51 +447,23 @@ def fit_reference(
         if np.array_equal(now, used):
             break
         used = now
-    far = abs(cone.half_angle_rad - reference.half_angle_rad) > _ANGLE_OFF_RAD
-    # A wrong angle that is kept, or from which nothing led away, puts part of the points out.
-    if far or used.mean() < _CLEAR_SHARE:
-        _refuse_angle(reference, sigma, reject_sigmas)
+    opened, limit = cone, _ANGLE_OFF_RAD
+    if not free_half_angle and used.mean() < _CLEAR_SHARE:  # a wrong angle that is kept puts points out
+        opened, limit = refine(cone, reference.points_m, sigma, free_half_angle=True), _ANGLE_NOTED_RAD
+    if abs(opened.half_angle_rad - reference.half_angle_rad) > limit:
+        measured, stated = np.rad2deg([opened.half_angle_rad, reference.half_angle_rad])
+        raise GeometryError(
+            f"the opening angle does not fit: stated is a half angle of {stated:.2f} deg, but the reference "
+            f"points lie on a cone of {measured:.2f} deg",
+            expected="the angle between axis and surface",
+            where=where,
+            cure=_CHECK_CONE,
+        )
     spread = root_mean_square(distance[used])
     by_points = _by_points(cone, reference.points_m, used, sigma, free_half_angle=free_half_angle)
     cov = parameter_cov(by_points, reference.cov, reference.form_sigma_m)
     return ConeFit(
         cone=replace(cone, cov=cov), used=used, distance_m=distance, spread_m=spread, by_points=by_points
-    )
-
-
-def _refuse_angle(reference: ConeReference, sigma_m: ArrayF, reject_sigmas: float) -> None:
-    """Refuse a stated half angle if the points lie on a cone of another one.
-
-    Raises
-    ------
-    GeometryError : they do; with the angle that fits.
-    """
-    found: list[tuple[int, Cone]] = []
-    for angle in _ANGLES_RAD:
-        try:
-            cone = start_cone(reference.points_m, float(angle))
-        except GeometryError:
-            continue
-        for _ in range(2):
-            cone = refine(cone, reference.points_m, sigma_m, free_half_angle=True)
-        on = np.abs(cone.see(reference.points_m).distance_m) <= reject_sigmas * sigma_m
-        found.append((int(on.sum()), cone))
-    if not found:
-        return
-    # Seven points lie on some cone whatever they are.
-    n, cone = max(found, key=lambda pair: pair[0])
-    off = cone.half_angle_rad - reference.half_angle_rad
-    if n < max(10, len(sigma_m) // 2) or abs(off) < _ANGLE_NOTED_RAD:
-        return
-    measured, stated = np.rad2deg([cone.half_angle_rad, reference.half_angle_rad])
-    full = abs(reference.half_angle_rad - 2 * cone.half_angle_rad) < _ANGLE_OFF_RAD
-    raise GeometryError(
-        f"the opening angle does not fit: stated is a half angle of {stated:.2f} deg, but {n} of "
-        f"{len(sigma_m)} reference points lie on a cone of {measured:.2f} deg",
-        expected="the angle between axis and surface",
-        where=f"cone {reference.name}",
-        cure=f"Set half_angle_deg of the cone to {measured:.2f} in the description of the field"
-        + (": the stated angle is that between opposite sides" if full else ""),
     )
 
 
@@ -516,15 +474,10 @@ def parameter_cov(by_points: ArrayF, cov_m2: ArrayF, form_sigma_m: float) -> Arr
     ----------
     by_points : (k, 3n) derivatives. Those of a point point along its normal, so that an error of the form is
         one of the point of the same size in all directions.
-    cov_m2 : (3n, 3n) of the points, or (n, 3, 3).
+    cov_m2 : (3n, 3n) of the points.
     form_sigma_m : independent from point to point.
     """
-    if cov_m2.ndim == 3:
-        parts = by_points.reshape(len(by_points), -1, 3)
-        cov = np.einsum("ani,nij,bnj->ab", parts, cov_m2, parts)
-    else:
-        cov = by_points @ cov_m2 @ by_points.T
-    cov = cov + form_sigma_m**2 * (by_points @ by_points.T)
+    cov = by_points @ cov_m2 @ by_points.T + form_sigma_m**2 * (by_points @ by_points.T)
     return np.asarray((cov + cov.T) / 2)
 
 

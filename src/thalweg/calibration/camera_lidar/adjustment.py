@@ -13,7 +13,6 @@ against each other, and the small mean distance of points from curved surfaces g
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from typing import Any, Final, Self
 
 import numpy as np
@@ -38,7 +37,6 @@ from thalweg.calibration import (
     fit_of,
     fit_reference,
     nowhere,
-    out_of_view,
     search,
     select,
     without_support,
@@ -46,8 +44,6 @@ from thalweg.calibration import (
 from thalweg.calibration.camera_lidar.model import (
     FIELD,
     LIDAR,
-    POSE,
-    REFERENCE,
     FieldErrors,
     Layout,
     LidarRows,
@@ -68,11 +64,8 @@ _MIDDLE_M: Final = 0.35
 """Place along the axis whose shift is reported, about the middle of a cone; it changes no test."""
 _FREE: Final = 1e-9
 """Smallest eigenvalue of a normal matrix over its largest, if scaled to a unit diagonal."""
-_PARALLEL: Final = 0.999
 
 FOUND: Final = "found"
-_ON_SIGMAS: Final = 4.0
-"""Distance from a cone, up to which a point counts as one on it."""
 _CORNERS: Final = 3
 """Saddles of a marker, of four, by which it is judged as a whole."""
 
@@ -178,9 +171,11 @@ class CameraLidar:
 
     @property
     def group_sigma0(self) -> dict[str, float]:
-        """RMS of the standardised residuals of lidar, reference points and exterior orientations."""
+        """RMS of the standardised residuals of the lidar, and of reference points with exterior "
+        "orientations.
+        """
         out = {}
-        for kind in (LIDAR, FIELD, REFERENCE, POSE):
+        for kind in (LIDAR, FIELD):
             mine = [n for n in self.adjusted.group_sigma0 if n.split(" ")[0] == kind]
             spare = sum(self.adjusted.group_redundancy[n] for n in mine)
             squares = sum(
@@ -240,8 +235,6 @@ def calibrate_camera_lidar(
     usable = [r for r in references if r.name in fits]
     cones = [fits[r.name].cone for r in usable]
     lengths = [r.length_m for r in usable]
-    if errors is not None:
-        errors.check(references, len(positions))
     found, start = None, nominal
     if settings.within is not None:
         found = search(cones, lengths, positions, nominal, settings.within)
@@ -320,16 +313,13 @@ def _without_support(work: _Work) -> None:
     """Note the cones that are not where the reference says, or not seen, before anything is adjusted."""
     how = work.settings
     for p, selection in enumerate(_select(work, _COARSE_M)):
-        T, out = work.x.poses[p] @ work.x.T_ccs_scs, {}
-        for k, reference in enumerate(work.references):
-            why = without_support(
-                selection.counts(k),
-                least_points=how.least_points,
-                least_support=how.least_support,
-                view=partial(out_of_view, work.x.cones[k], reference.length_m, T, work.positions[p]),
+        told = [
+            without_support(
+                selection.counts(k), least_points=how.least_points, least_support=how.least_support
             )
-            if why:
-                out[k] = why
+            for k in range(len(work.references))
+        ]
+        out = {k: why for k, why in enumerate(told) if why}
         if nowhere(selection, len(work.references), out):
             apart = "no cone is where scan and picture of this position together say: they do not belong "
             apart += "together, or the boat moved between them. Record the position again. Of this cone: "
@@ -580,7 +570,7 @@ def refuse_undetermined(layout: Layout, x: Unknowns, scans: Sequence[ConeScan]) 
 
     Raises
     ------
-    UnobservableError : names the turn or shift that is free, and what to add.
+    UnobservableError : names the rotations that are free, and what to add.
     """
     N = np.zeros((6, 6))
     for p, scan in enumerate(scans):
@@ -599,23 +589,10 @@ def refuse_undetermined(layout: Layout, x: Unknowns, scans: Sequence[ConeScan]) 
     weight = np.abs(np.concatenate([np.zeros(3), x.poses[0].R.T @ turn]))
     order = [i for i in np.argsort(-weight)[:3] if weight[i] > 0.2 * weight.max()]
     raise UnobservableError(
-        [*(layout.names[layout.orientation][i] for i in order), f"{_words(turn, layout, x, used)}"],
+        [layout.names[layout.orientation][i] for i in order],
         defects=int(free.sum()),
         cure=f"The lidar sees {', '.join(used)} only. Add a cone at another place in its view, with another "
         "axis, or a position from which it sees more: nothing shows a turn about the axis of a single cone",
-    )
-
-
-def _words(turn: ArrayF, layout: Layout, x: Unknowns, used: Sequence[str]) -> str:
-    length = float(np.linalg.norm(turn))
-    if length == 0:
-        return "a shift of the lidar"
-    u = turn / length
-    about = [n for n in used if abs(u @ x.cones[layout.cones.index(n)].axis) > _PARALLEL]
-    if about:
-        return f"a turn of the lidar about the axis of {' and '.join(about)}"
-    return "a turn of the lidar about " + (
-        "the vertical" if abs(u[2]) > _PARALLEL else f"the direction ({u[0]:.2f}, {u[1]:.2f}, {u[2]:.2f})"
     )
 
 
@@ -740,49 +717,16 @@ def sensor_table(positions: Sequence[str], poses: Sequence[Rigid], T_ccs_scs: Ri
 def reference_table(
     references: Sequence[ConeReference], fits: Mapping[str, ConeFit], refused: Mapping[str, str]
 ) -> pd.DataFrame:
-    """One line a reference point: distance from its cone in millimetres, whether it was used, why not.
-
-    ``lies_on`` names another cone on which a point lies that is not on its own.
-    """
+    """One line a reference point: distance from its cone in millimetres, whether it was used, why not."""
     lines = []
     for r in references:
         fit = fits.get(r.name)
-        others = _lies_on(r, {name: f for name, f in fits.items() if name != r.name}, references)
         for i, label in enumerate(r.labels):
             used = fit is not None and bool(fit.used[i])
-            elsewhere = "" if used or fit is None else others[i]
-            far = "not on the cone: moved, or read wrongly"
-            if elsewhere:
-                far = f"not on the cone but on {elsewhere}"
-            reason = "" if used else refused.get(r.name, far)
+            reason = "" if used else refused.get(r.name, "not on the cone: moved, or read wrongly")
             distance = np.nan if fit is None else 1e3 * float(fit.distance_m[i])
-            lines.append(
-                {
-                    "cone": r.name,
-                    "point": label,
-                    "distance_mm": distance,
-                    "used": used,
-                    "lies_on": elsewhere,
-                    "reason": reason,
-                }
-            )
-    return pd.DataFrame(lines)
-
-
-def _lies_on(
-    reference: ConeReference, fits: Mapping[str, ConeFit], references: Sequence[ConeReference]
-) -> list[str]:
-    """For each point the other cone on whose surface it lies; empty if there is none."""
-    out = [""] * len(reference.points_m)
-    lengths = {r.name: r.length_m for r in references}
-    sigma = np.hypot(reference.sigma_m, reference.form_sigma_m)
-    for name, fit in fits.items():
-        seen = fit.cone.see(reference.points_m)
-        slant = lengths[name] / np.cos(fit.cone.half_angle_rad)
-        on = (np.abs(seen.distance_m) < _ON_SIGMAS * sigma) & (seen.slant_m > 0) & (seen.slant_m < slant)
-        for i in np.flatnonzero(on):
-            out[i] = name
-    return out
+            lines.append((r.name, label, distance, used, reason))
+    return pd.DataFrame(lines, columns=["cone", "point", "distance_mm", "used", "reason"])
 
 
 def foreign_markers(references: pd.DataFrame) -> list[str]:
@@ -796,19 +740,14 @@ def foreign_markers(references: pd.DataFrame) -> list[str]:
     lines: list[str] = []
     for key, part in references.assign(marker=marker).groupby(["cone", "marker"], sort=False):
         cone, name = (str(k) for k in key)
-        places = part["lies_on"][part["lies_on"] != ""]
-        if len(places) >= _CORNERS:
-            place = places.mode().iloc[0]
-            lines.append(
-                f"marker {name} is stated for cone {cone} but lies on {place}, and takes no part. Correct "
-                f"the markers of {cone} and {place} in the description of the field, or exchange the sheets "
-                "and photograph the field again"
-            )
-        elif int((~part["used"]).sum()) >= _CORNERS and part["distance_mm"].notna().all():
+        if int((~part["used"]).sum()) >= _CORNERS and part["distance_mm"].notna().all():
             off = float(part["distance_mm"].abs().median())
             lines.append(
-                f"marker {name} of cone {cone} is {off:.1f} mm off its surface: it is not glued on it, or "
-                "was moved between the pictures of the field. Photograph the field again, or leave it out"
+                f"marker {name} of cone {cone} is {off:.1f} mm off its surface, and takes no part: it is "
+                "on another "
+                "cone than the description of the field says, not glued on it, or was moved between the "
+                "pictures. "
+                "Correct the description, photograph the field again, or leave it out"
             )
     return lines
 
@@ -866,8 +805,4 @@ def report(result: "CameraLidar", nominal: Rigid) -> dict[str, Any]:
         "points": int(result.residuals["points"].sum()),
         "positions": int(result.residuals["position"].nunique()),
         "cones": len(result.cones),
-        "single_shot_claim": {
-            "expected": "sigmas below 1 mm and 0.1 deg (P2 section 7)",
-            "kept": bool((T.sigma_shift_m < 1e-3).all() and (np.rad2deg(T.sigma_rotation_rad) < 0.1).all()),
-        },
     }

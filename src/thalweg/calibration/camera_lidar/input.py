@@ -90,7 +90,7 @@ def cone_references(
     out = []
     for cone in field.cones:
         at = _of_cone(points, cone.markers)
-        rows = _coordinates(at)
+        rows = _triples(at)
         out.append(
             ConeReference(
                 name=cone.name,
@@ -125,7 +125,7 @@ def field_errors(
     interior : the camera of all positions, or that of each.
     """
     at = [_of_cone(points, cone.markers) for cone in field.cones]
-    rows = _coordinates(np.concatenate(at))
+    rows = _triples(np.concatenate(at))
     n, m = 6 * len(resected), len(rows)
     cov = np.zeros((n + m, n + m))
     cov[n:, n:] = points.cov[np.ix_(rows, rows)]
@@ -170,14 +170,11 @@ def read_scan(reader: LidarReader) -> tuple[ArrayF, ArrayF]:
 
     A static scan needs no GPS time; a recording without a locked clock does as well.
     """
-    xyz: list[ArrayF] = []
-    reflectivity: list[ArrayF] = []
-    for block in reader.points():
-        xyz.append(np.asarray(block.xyz_scs_m, dtype=np.float64))
-        reflectivity.append(np.asarray(block.intensity, dtype=np.float64))
-    if not xyz:
+    blocks = list(reader.points())
+    if not blocks:
         return np.zeros((0, 3)), np.zeros(0)
-    return np.concatenate(xyz), np.concatenate(reflectivity)
+    xyz, reflectivity = ([getattr(b, name) for b in blocks] for name in ("xyz_scs_m", "intensity"))
+    return np.concatenate(xyz, dtype=np.float64), np.concatenate(reflectivity, dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -304,10 +301,6 @@ def _in_order(folder: Path) -> list[Path]:
 
 def _of_cone(points: FieldPoints, markers: Sequence[int]) -> AnyArray:
     return np.array([i for i, (m, _) in enumerate(points.points) if m in markers], dtype=np.int64)
-
-
-def _coordinates(at: AnyArray) -> AnyArray:
-    return (3 * at[:, None] + np.arange(3)).ravel()
 
 
 # ---------------------------------------------------------------- poses of static positions and points of the

@@ -17,17 +17,19 @@ while an adjustment runs, for the same reason.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Final, Self
 
 import numpy as np
+from scipy import sparse
+from scipy.linalg import block_diag
 
 from thalweg.calibration import PARAMETERS, Cone, ConeReference, ConeScan
-from thalweg.core import AnyArray, ArrayF, GeometryError, Linear, Observations, Rigid, plane_rates
+from thalweg.core import AnyArray, ArrayF, Linear, Observations, Rigid, plane_rates
 
 ORIENTATION: Final = ("lever_x", "lever_y", "lever_z", "rotation_x", "rotation_y", "rotation_z")
 """Six of the relative orientation: shift and small rotation vector, in ccs."""
 
-REFERENCE, LIDAR, POSE, FIELD = "reference", "lidar", "pose", "field"
+LIDAR, FIELD = "lidar", "field"
 """First words of the names of groups; the cone or the position follows."""
 
 _LEAST_SLOPE: Final = -0.05
@@ -128,20 +130,11 @@ class FieldErrors:
     cov: ArrayF
     points: Mapping[str, int]
 
-    def check(self, references: Sequence[ConeReference], positions: int) -> None:
-        """Refuse errors that belong to other points or positions.
-
-        Raises
-        ------
-        GeometryError : cones, points or positions do not match.
-        """
-        counts = {r.name: len(r.points_m) for r in references}
-        size = 6 * positions + 3 * sum(counts.values())
-        if list(self.points.items()) != list(counts.items()) or self.cov.shape != (size, size):
-            raise GeometryError(
-                f"joint errors {self.cov.shape} of {dict(self.points)} points",
-                expected=f"({size}, {size}) of {counts}",
-            )
+    @classmethod
+    def independent(cls, references: Sequence[ConeReference], measured: Sequence[Rigid]) -> Self:
+        """Errors that neither orientations nor cones share."""
+        cov = block_diag(*(T.cov for T in measured), *(r.cov for r in references))
+        return cls(cov=cov, points={r.name: len(r.points_m) for r in references})
 
     def rows_of(self, positions: int, cone: str, used: AnyArray) -> AnyArray:
         """Places of the coordinates of some points of a cone."""
@@ -169,38 +162,6 @@ class LidarRows:
         return plane_rates(self.normal_pcs, arm) / self.slope[:, None]
 
 
-def reference_group(
-    layout: Layout, k: int, reference: ConeReference, used: AnyArray
-) -> Observations[Unknowns]:
-    """Distances of the reference points of cone ``k``, with the correlations between the points if known."""
-    rows = np.flatnonzero(used)
-    points = reference.points_m[rows]
-
-    def model(x: Unknowns) -> Linear:
-        """At a state."""
-        seen = x.cones[k].see(reference.points_m)
-        J = np.zeros((len(rows), layout.n))
-        J[:, layout.cone(k)] = seen.by_parameters[rows, : layout.per_cone]
-        cov = reference.distance_cov(seen.normal)[np.ix_(rows, rows)]
-        stated = np.diag(cov) if reference.cov.ndim == 3 else cov[None]
-        return Linear(residual=x.cones[k].see(points).distance_m, jacobian=J, cov=stated)
-
-    return Observations(f"{REFERENCE} {layout.cones[k]}", model)
-
-
-def pose_group(layout: Layout, p: int, measured: Rigid) -> Observations[Unknowns]:
-    """The exterior orientation of position ``p`` as an observation of itself."""
-    at = layout.pose(p)
-    J = np.zeros((6, layout.n))
-    J[:, at] = np.eye(6)
-
-    def model(x: Unknowns) -> Linear:
-        """At a state."""
-        return Linear(residual=x.poses[p].error_from(measured), jacobian=J, cov=measured.cov[None])
-
-    return Observations(f"{POSE} {layout.positions[p]}", model)
-
-
 def field_group(
     layout: Layout,
     references: Sequence[tuple[ConeReference, AnyArray]],
@@ -208,9 +169,10 @@ def field_group(
     errors: FieldErrors,
 ) -> Observations[Unknowns]:
     """All exterior orientations and reference points as one group with their joint covariance."""
-    n_pose = 6 * len(measured)
-    rows = [errors.rows_of(len(measured), r.name, used) for r, used in references]
-    taken = np.concatenate([np.arange(n_pose), *rows])
+    free = [p for p in range(len(measured)) if layout.free_pose[p]]
+    n_pose = 6 * len(free)
+    poses = [6 * p + np.arange(6) for p in free]
+    taken = np.concatenate([*poses, *(errors.rows_of(len(measured), r.name, used) for r, used in references)])
     cov = errors.cov[np.ix_(taken, taken)]
     counts = [int(np.count_nonzero(used)) for _, used in references]
     ends = n_pose + np.cumsum(counts)
@@ -224,9 +186,9 @@ def field_group(
         # an error of a measured pose goes into "state minus measured" with the other sign than one of a point
         # into its distance from the cone: both share the network's errors, and the sign decides how
         B[:n_pose, :n_pose] = -np.eye(n_pose)
-        residual[:n_pose] = np.concatenate([a.error_from(b) for a, b in zip(x.poses, measured, strict=True)])
-        for p in range(len(measured)):
-            J[6 * p : 6 * p + 6, layout.pose(p)] = np.eye(6)
+        for i, p in enumerate(free):
+            residual[6 * i : 6 * i + 6] = x.poses[p].error_from(measured[p])
+            J[6 * i : 6 * i + 6, layout.pose(p)] = np.eye(6)
         for k, (r, used) in enumerate(references):
             own = np.arange(ends[k] - counts[k], ends[k])
             seen = x.cones[k].see(r.points_m[used])
@@ -235,7 +197,8 @@ def field_group(
             columns = n_pose + 3 * (own - n_pose)
             for i in range(3):
                 B[own, columns + i] = seen.normal[:, i]
-        S = B @ cov @ B.T
+        by_errors = sparse.csr_array(B)
+        S = by_errors @ (by_errors @ cov).T
         S[np.arange(n_pose, ends[-1]), np.arange(n_pose, ends[-1])] += form
         return Linear(residual=residual, jacobian=J, cov=S[None])
 
@@ -294,10 +257,5 @@ def groups_of(
 ) -> list[Observations[Unknowns]]:
     """All groups of observations; ``references`` with the mask (n,) of the points that are used."""
     lidar = [lidar_group(layout, p, scan) for p, scan in enumerate(scans) if len(scan.cone)]
-    if errors is not None:
-        return [field_group(layout, references, measured, errors), *lidar]
-    return [
-        *(reference_group(layout, k, r, used) for k, (r, used) in enumerate(references)),
-        *(pose_group(layout, p, m) for p, m in enumerate(measured) if layout.free_pose[p]),
-        *lidar,
-    ]
+    joint = errors or FieldErrors.independent([r for r, _ in references], measured)
+    return [field_group(layout, references, measured, joint), *lidar]

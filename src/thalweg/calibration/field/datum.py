@@ -37,12 +37,6 @@ _WIDE: Final = 0.05
 _GROSS_M: Final = 0.5
 _GROSS_SIGMAS: Final = 10.0
 """A target farther off than this sum is a mistake in writing, not one of measurement."""
-_SIMILAR: Final = 1.01
-"""Factor between two scales below which they are no explanation of a contradiction."""
-_SCALED_SIGMAS: Final = 5.0
-"""Targets that all lie nearer than so many sigmas to the field if it is scaled, blame its scale."""
-_FAR_M: Final = 20_000.0
-"""Distance of all targets from the origin of wcs at which a mistake in their coordinates is likely."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -102,15 +96,19 @@ def field_datum(points: FieldPoints, targets: Sequence[Target], frame: LocalFram
     wcs = targets_wcs(usable, frame)
     rtk = np.array([np.diag(np.square(t.sigma_m)) for t in usable])
     _require_width(pcs, [t.name for t in usable])
-    used = _without_gross(pcs, wcs, usable)
-    gross = not used.all()
+    n = len(usable)
+    gross_m = [_GROSS_M + _GROSS_SIGMAS * float(np.linalg.norm(t.sigma_m)) for t in usable]
+    used, off, _ = agreeing(pcs, wcs, np.array(gross_m))
+    if used.sum() < max(3, n - 1):
+        raise _contradiction([t.name for t in usable], off)
     adjusted = _adjust(pcs, cov, wcs, rtk, used)
     if _probability(adjusted) < _LEVEL:
-        off = wcs - adjusted.x.apply(pcs)
-        if gross:
-            raise _several([t.name for t in usable], off)
-        _require_scale(pcs, wcs, _tolerances_m(usable, 0.0, _SCALED_SIGMAS), [t.name for t in usable], off)
-        used[_wrong(pcs, cov, wcs, rtk, [t.name for t in usable])] = False
+        # the one target without which, and without which alone, all others agree
+        each = [np.arange(n) != k for k in range(n)] if n > 3 and used.all() else []
+        alone = [_probability(_adjust(pcs, cov, wcs, rtk, others)) >= _LEVEL for others in each]
+        if sum(alone) != 1:
+            raise _contradiction([t.name for t in usable], wcs - adjusted.x.apply(pcs))
+        used[alone.index(True)] = False
         adjusted = _adjust(pcs, cov, wcs, rtk, used)
     for wrong in np.flatnonzero(~used):
         east, north, up = wcs[wrong] - adjusted.x.apply(pcs[wrong : wrong + 1])[0]
@@ -162,24 +160,6 @@ def _tolerances_m(targets: Sequence[Target], least_m: float, sigmas: float) -> A
     return np.array([least_m + sigmas * float(np.linalg.norm(t.sigma_m)) for t in targets])
 
 
-def _without_gross(pcs: ArrayF, wcs: ArrayF, targets: Sequence[Target]) -> ArrayB:
-    """(n,) targets without the only one that is far off.
-
-    Raises
-    ------
-    GeometryError : the scale bars contradict, or more than one target is far off.
-    """
-    names = [t.name for t in targets]
-    tolerance = _tolerances_m(targets, _GROSS_M, _GROSS_SIGMAS)
-    near, off, _ = agreeing(pcs, wcs, tolerance)
-    if near.all():
-        return near
-    _require_scale(pcs, wcs, tolerance, names, off)
-    if len(targets) > 3 and near.sum() == len(targets) - 1:
-        return near
-    raise _several(names, off, near, _origin_words(wcs))
-
-
 def _sigma_scale(pcs: ArrayF, cov: ArrayF, rtk: ArrayF, place: Rigid) -> float:
     """Relative sigma of the scale by the targets; it hardly depends on turn and shift of the field."""
     away = (pcs - pcs.mean(axis=0)) @ place.R.T
@@ -187,41 +167,14 @@ def _sigma_scale(pcs: ArrayF, cov: ArrayF, rtk: ArrayF, place: Rigid) -> float:
     return float(np.einsum("ni,nij,nj->", away, np.linalg.inv(S), away)) ** -0.5
 
 
-def _several(names: list[str], off_m: ArrayF, near: ArrayB | None = None, hint: str = "") -> GeometryError:
-    who = "more than one is wrong"
-    if near is not None and near.sum() > len(near) / 2 and len(near) > 3:
-        wrong = " and ".join(n for n, good in zip(names, near, strict=True) if not good)
-        who = f"{wrong} are wrong, the others agree"
-    elif len(names) == 3:
-        who = "one of them is wrong; a fourth target would tell which one"
+def _contradiction(names: list[str], off_m: ArrayF) -> GeometryError:
     return GeometryError(
-        f"the RTK targets contradict the field by {distances_words(names, off_m)}: {who}{hint}",
+        f"the RTK targets contradict the field by {distances_words(names, off_m)}",
         expected="at most one wrong target among four or more",
-        cure="Check markers and coordinates (lat_deg, lon_deg) of the targets in the field description, "
-        "those with the largest distance first, and the campaign's origin",
+        cure="Check markers and coordinates (lat_deg, lon_deg) of the targets, those with the largest "
+        "distance "
+        "first, the lengths of the scale bars in metres, and the campaign's origin",
     )
-
-
-def _require_scale(pcs: ArrayF, wcs: ArrayF, tolerance_m: ArrayF, names: list[str], off_m: ArrayF) -> None:
-    """Scale bars that are wrong show in all targets at once, and no single one is to blame.
-
-    Raises
-    ------
-    GeometryError : in another scale the field agrees with all targets.
-    """
-    kept, _, factor = agreeing(pcs, wcs, tolerance_m, scaled=True)
-    if kept.all() and factor > 0 and max(factor, 1 / factor) > _SIMILAR:
-        raise GeometryError(
-            f"the RTK targets contradict the field by {distances_words(names, off_m)}: by the targets the "
-            f"field is {factor:.4g} times as large as by the scale bars",
-            expected="scale bars and RTK targets that give one scale",
-            cure="Check lengths and end marks of the scale bars (in metres) in the field description",
-        )
-
-
-def _origin_words(wcs: ArrayF) -> str:
-    away = float(np.linalg.norm(wcs, axis=1).min())
-    return f"; all targets are {away / 1000:.0f} km from the campaign's origin" if away > _FAR_M else ""
 
 
 def _metres(value: float) -> str:
@@ -230,31 +183,6 @@ def _metres(value: float) -> str:
 
 def _probability(adjusted: Adjusted[Rigid]) -> float:
     return float(chi2.sf(adjusted.sigma0_squared * adjusted.redundancy, adjusted.redundancy))
-
-
-def _wrong(pcs: ArrayF, cov: ArrayF, wcs: ArrayF, rtk: ArrayF, names: list[str]) -> int:
-    """The one target without which all others agree."""
-    n = len(pcs)
-    if n == 3:
-        raise GeometryError(
-            f"the RTK targets {', '.join(names)} contradict the field, one of them is wrong",
-            expected="distances that agree with those of the bundle adjustment",
-            cure="Measure them again; a fourth target would tell which one it is",
-        )
-    fits = np.array([_probability(_adjust(pcs, cov, wcs, rtk, np.arange(n) != k)) for k in range(n)])
-    best = int(fits.argmax())
-    clear = np.sort(fits)[-2] < _LEVEL
-    if fits[best] < _LEVEL or not clear:
-        several = [names[k] for k in np.argsort(-fits)[:2]]
-        who = (
-            f"most likely {several[0]} or {several[1]}" if fits[best] >= _LEVEL else "more than one is wrong"
-        )
-        raise GeometryError(
-            f"the RTK targets {', '.join(names)} contradict the field: {who}{_origin_words(wcs)}",
-            expected="at most one wrong target among enough good ones",
-            cure="Measure the targets again, and check markers and sigmas in the field description",
-        )
-    return best
 
 
 def _require_width(pcs: ArrayF, names: list[str]) -> None:

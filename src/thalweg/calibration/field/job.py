@@ -8,7 +8,6 @@ from typing import Any, Final
 
 import numpy as np
 import pandas as pd
-from scipy.sparse.csgraph import connected_components
 
 from thalweg.calibration import block_of, starting_camera_by
 from thalweg.calibration.field.datum import FieldDatum, field_datum, targets_wcs
@@ -35,8 +34,6 @@ _ANOTHER_UNIT: Final = 1.5
 _SURE_SIGMAS: Final = 3.0
 
 _GOOD_PICTURES: Final = 3
-_TIES: Final = 3
-"""Markers that two pictures share if one is to be oriented by the other."""
 _FEW_MARKERS: Final = 4
 
 KIND: Final = "thalweg field"
@@ -258,15 +255,6 @@ def overview(marks: pd.DataFrame) -> tuple[str, str]:
     if len(poor):
         words += f"; {len(poor)} pictures show fewer than {_FEW_MARKERS} markers ({_some(poor.index)})"
     advice = []
-    # pictures that hang together by common markers, the largest group first
-    label = connected_components(sees.to_numpy() @ sees.to_numpy().T >= _TIES)[1]
-    groups = sorted((sees[label == k] for k in range(label.max() + 1)), key=len, reverse=True)
-    if len(groups) > 1:
-        told = "; ".join(f"{len(g)} with {_some(g.index)}" for g in groups[:3])
-        words += f"; they fall into {len(groups)} groups that share fewer than {_TIES} markers: {told}"
-        counts = [g.sum() for g in groups[:2]]
-        sides = [_some(n[n > 0].sort_values(ascending=False, kind="stable").index) for n in counts]
-        advice.append(f"take pictures that show markers of both groups, so {sides[0]} and {sides[1]}")
     rare = seen[seen < _GOOD_PICTURES].index
     if len(rare):
         advice.append(f"take the markers {_some(rare, 12)} from two more sides")

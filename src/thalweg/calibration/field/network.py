@@ -190,7 +190,6 @@ def measure_field(
     field: FieldDescription,
     *,
     approximate: Mapping[int, ArrayF] | None = None,
-    calibrate: Mapping[str, tuple[str, ...]] | None = None,
     start: Start | None = None,
 ) -> FieldNetwork:
     """Adjust the pictures of a field.
@@ -203,7 +202,6 @@ def measure_field(
     approximate : centres of at least three markers in the frame that pcs should roughly have (east, north,
     up).
         Without, pcs is upright as the pictures are.
-    calibrate : parameters to estimate of each camera; all if None.
     start : of `start_network` for these marks and cameras, if it is known already.
 
     Raises
@@ -217,7 +215,7 @@ def measure_field(
     used_cameras = tuple(cameras[name] for name in dict.fromkeys(block.camera_of))
     names = [camera.name for camera in used_cameras]
     number = {name: k for k, name in enumerate(dict.fromkeys(block.camera_of))}
-    free = tuple(tuple((calibrate or {}).get(name, PARAMETERS[cameras[name].model])) for name in number)
+    free = tuple(PARAMETERS[cameras[name].model] for name in number)
     if len(set(names)) < len(names):
         raise GeometryError(f"two cameras are called {names}", expected="a name of its own for each camera")
     problem = Problem(

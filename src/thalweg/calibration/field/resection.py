@@ -79,7 +79,6 @@ def resect(
     marks: pd.DataFrame,
     points: FieldPoints,
     *,
-    with_interior: bool = True,
     where: str = "",
     largest_sigma_m: float = _LARGEST_SIGMA_M,
 ) -> Resected:
@@ -90,7 +89,6 @@ def resect(
     camera : interior orientation with its covariance.
     marks : marker, corner, x_px, y_px, sigma_px of one picture.
     points : reference points; marks of other markers are left out.
-    with_interior : count the covariance of the interior orientation in; else it is held fixed.
     where : name of the picture, for messages.
     largest_sigma_m : a place that is known worse is refused.
 
@@ -99,7 +97,8 @@ def resect(
     GeometryError : fewer than four known marks on two markers; marks that do not fit together; a pose that is
         hardly determined or has a second solution.
     """
-    found = _pose(camera, marks, points, with_interior, where, largest_sigma_m)
+    seen = _seen(camera, marks, points, where, _CAP_RAD)
+    found = _Fit.of(camera, [seen], points, {}).resected(0, largest_sigma_m)
     if found.sigma0 > LARGEST_SIGMA0:
         raise GeometryError(
             f"the marks are {found.sigma0:.0f} times their sigmas off any pose",
@@ -180,21 +179,6 @@ def start_misfit_px(camera: Camera, marks: pd.DataFrame, points: FieldPoints) ->
     """
     off = _seen(camera, marks, points, "", _WIDE_CAP_RAD, TRIPLES // 3).off_rad
     return float(camera.parameters[0] * np.minimum(off, _WIDE_CAP_RAD).mean())
-
-
-def _pose(
-    camera: Camera,
-    marks: pd.DataFrame,
-    points: FieldPoints,
-    with_interior: bool,
-    where: str,
-    largest_sigma_m: float,
-) -> Resected:
-    """Pose of a picture, however well it fits, see `resect`."""
-    seen = _seen(camera, marks, points, where, _CAP_RAD)
-    return _Fit.of(
-        camera if with_interior else replace(camera, cov=np.zeros_like(camera.cov)), [seen], points, {}
-    ).resected(0, largest_sigma_m)
 
 
 def resect_together(

@@ -21,7 +21,7 @@ the *formal* sigmas as in T, and the consistent ones, which go on into the file.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Final, Literal, Self, TypeAlias
+from typing import Any, Final, Literal, Self
 
 import numpy as np
 import pandas as pd
@@ -44,7 +44,7 @@ from thalweg.calibration.ins_lidar.model import (
     solve_step,
     truncated_variance,
 )
-from thalweg.calibration.ins_lidar.pose_errors import SLOW, BorderedNormals, Knots, PoseErrors
+from thalweg.calibration.ins_lidar.pose_errors import BorderedNormals, Knots, PoseErrors
 from thalweg.calibration.ins_lidar.run_points import (
     FieldCones,
     MountRange,
@@ -64,8 +64,6 @@ _NOISE_NEARLY: Final = 0.02
 # Steps of the mount in sigmas. Beams at the outlines of cones keep it moving by 0.03; a step of 0.05
 # adds a quarter of a percent to the variance.
 _CONVERGED: Final = 0.05
-GroupSigmas: TypeAlias = dict[str, float]
-"""By group of observations: root of the weighted squares of its residuals over its redundancy; expected 1."""
 SIZE_SPREAD: Final = 2.0
 """Stated sizes may be wrong by this factor, as one sigma of the logarithm."""
 TIME_SPREAD: Final = 3.0
@@ -94,7 +92,6 @@ _NOTHING: Final = 1e-4
 _DRAWS: Final = 64
 _STEP: Final = 0.25
 _FARTHEST: Final = 4.0
-_GROUPS: Final = {"position": slice(0, 3), "attitude": slice(3, 6)}
 
 PARAMETERS: Final = ("lever_x", "lever_y", "lever_z", "rotation_x", "rotation_y", "rotation_z")
 """Unknowns of the mount, in ics."""
@@ -248,7 +245,7 @@ class InsLidar:
     errors : of the poses, as used: stated, or estimated.
     processes : what the run says of them; None where it was not asked.
     noise : of a single point, estimated.
-    sigmas : by group of observations how large residuals are in units of what is stated.
+    sigma0 : how large all residuals are in units of what is stated.
     n_points, redundancy : points used; observations minus unknowns.
     passes : table of the points used and left out, for each pass and cone.
     points : table of the points in the last pass, before and after, in pcs.
@@ -262,7 +259,7 @@ class InsLidar:
     errors: PoseErrors
     processes: Processes | None
     noise: BeamNoise
-    sigmas: GroupSigmas
+    sigma0: float
     n_points: int
     redundancy: int
     passes: pd.DataFrame
@@ -548,8 +545,6 @@ class _Run:
         check_antenna(self.known, without)
         J = linear.border[used, MOUNT]
         formal = np.asarray(np.linalg.inv((J / linear.variance_m2[used, None]).T @ J))
-        stated = self.settings.noise.variance_along(linear.cosine[used])
-        scale = float(np.sqrt(np.mean(linear.variance_m2[used]) / np.mean(stated)))
         return InsLidar(
             T_ics_scs=mount,
             cov_formal=formal,
@@ -559,7 +554,7 @@ class _Run:
             errors=errors,
             processes=processes,
             noise=self.known.noise,
-            sigmas=group_sigmas(step, self.knots, errors) | {"noise_scale": scale},
+            sigma0=float(np.sqrt(step.solution.omega / (step.normals.n - 6))),
             n_points=int(used.sum()),
             redundancy=step.normals.n - 6,
             passes=pd.DataFrame(self.rows),
@@ -740,54 +735,6 @@ def _values(errors: PoseErrors) -> dict[str, float]:
         errors.white_share,
     )
     return {name: float(value) for name, value in zip(NAMES, values, strict=True)}
-
-
-def group_sigmas(step: Step, knots: Knots, errors: PoseErrors) -> GroupSigmas:
-    """Sizes of the residuals of points, positions and attitudes, and of all, in units of what is stated.
-
-    The redundancy of a group is its number minus ``tr(P_group Q_xx)``, and that trace is the derivative of
-    the log determinant of the normal equations by the group's weight.
-    """
-    band, _ = knots.prior(errors)
-    normals, solution = step.normals, step.solution
-    e = solution.errors
-    out: GroupSigmas = {}
-    taken, squares = 0.0, 0.0
-    parts = _prior_parts(knots, band)
-    h = 1e-3
-    for name, part in parts.items():
-        n = int(np.count_nonzero(part[0]))
-        square = _banded_square(part, e)
-        more = normals.solve(band + h * part, step.prior_border).logdet
-        less = normals.solve(band - h * part, step.prior_border).logdet
-        trace = (more - less) / (2 * h)
-        out[name] = float(np.sqrt(square / max(n - trace, 1e-9)))
-        taken, squares = taken + trace, squares + square
-    z = solution.border[6:]
-    border = np.diag(solution.cov_border)[6:].sum()
-    unknowns = knots.n + len(solution.border)
-    of_points = unknowns - taken - border
-    left = solution.omega - squares - float(z @ z)
-    out["points"] = float(np.sqrt(left / (normals.n - of_points)))
-    out["all"] = float(np.sqrt(solution.omega / (normals.n - 6)))
-    return out
-
-
-def _prior_parts(knots: Knots, band: ArrayF) -> dict[str, ArrayF]:
-    """Prior weights of positions (slow), attitudes, and epochs (fast)."""
-    place = np.arange(knots.n) % knots.stride
-    masks = {name: (place >= s.start) & (place < s.stop) for name, s in _GROUPS.items()}
-    if knots.fast:
-        masks["epochs"] = place >= SLOW
-    return {name: np.where(mask, band, 0.0) for name, mask in masks.items()}
-
-
-def _banded_square(band: ArrayF, x: ArrayF) -> float:
-    """``x^T A x`` of a symmetric matrix in lower banded form."""
-    total = float(np.sum(band[0] * x**2))
-    for k in np.flatnonzero(np.any(band[1:] != 0, axis=1)) + 1:
-        total += 2 * float(np.sum(band[k, : len(x) - k] * x[: len(x) - k] * x[k:]))
-    return total
 
 
 # ---------------------------------------------------------------- what a run must have, and the words for

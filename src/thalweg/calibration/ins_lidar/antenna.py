@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from thalweg.calibration.ins_lidar.model import AntennaPoint
-from thalweg.core import ArrayF, GeometryError, Rigid, rotation_opk
+from thalweg.core import ArrayF, GeometryError, Rigid, cross_matrix, rotation_opk
 
 NOMINAL_M: Final = 0.5
 NOMINAL_SIGMAS: Final = 5.0
@@ -64,7 +64,7 @@ def phase_centre(
     Parameters
     ----------
     saddles_pcs_m : (4, 3) upper left, upper right, lower right, lower left of the upright print.
-    cov_m2 : (12, 12) their joint covariance, or (4, 3, 3).
+    cov_m2 : (12, 12) their joint covariance.
     offset_m, sigma_offset_m : phase centre above the print, along its normal; negative below it.
 
     Raises
@@ -73,13 +73,6 @@ def phase_centre(
     """
     p = np.asarray(saddles_pcs_m, dtype=np.float64)
     C = np.asarray(cov_m2, dtype=np.float64)
-    if C.shape == (4, 3, 3):
-        joint = np.zeros((12, 12))
-        for k in range(4):
-            joint[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] = C[k]
-        C = joint
-    if p.shape != (4, 3) or C.shape != (12, 12):
-        raise GeometryError(f"saddles {p.shape}, covariance {C.shape}", expected="(4, 3) and (12, 12)")
     sides = np.linalg.norm(np.roll(p, -1, axis=0) - p, axis=1)
     diagonals = np.linalg.norm(p[:2] - p[2:], axis=1)
     # 5 %: a print that is bent, or a saddle of another marker; noise is a hundred times smaller.
@@ -97,7 +90,7 @@ def phase_centre(
     normal = normal / length
     # d(normal) by the cross product of the diagonals: normal = 2 first x second / |.|
     across = (np.eye(3) - np.outer(normal, normal)) * (2.0 / length)
-    by_first, by_second = across @ -_skew(second), across @ _skew(first)
+    by_first, by_second = across @ -cross_matrix(second[None])[0], across @ cross_matrix(first[None])[0]
     J = np.empty((3, 12))
     for k, turn in enumerate((-by_first, by_second, by_first, -by_second)):
         J[:, 3 * k : 3 * k + 3] = 0.25 * np.eye(3) + offset_m * turn
@@ -172,7 +165,3 @@ def check_nominal(
             "on no other sheet, the position at which it was photographed "
             "(calibration.ins_lidar.antenna_position), and mounts.antenna and mounts.lidar",
         )
-
-
-def _skew(a: ArrayF) -> ArrayF:
-    return np.array([[0.0, -a[2], a[1]], [a[2], 0.0, -a[0]], [-a[1], a[0], 0.0]])

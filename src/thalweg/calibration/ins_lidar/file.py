@@ -184,7 +184,7 @@ def write_mount_result(
         "facts": {
             "points": found.n_points,
             "redundancy": found.redundancy,
-            "sigmas": {name: float(value) for name, value in found.sigmas.items()},
+            "sigma0": found.sigma0,
             "dropped": found.dropped,
             "sigma_position_m": errors.sigma_position_m.tolist(),
             "sigma_attitude_deg": np.rad2deg(errors.sigma_attitude_rad).tolist(),
@@ -205,7 +205,7 @@ def write_calibrated(path: Path, found: InsLidar, run: str) -> None:
     """Write the mount of the lidar as a calibration file."""
     block, cov = pose_block("lidar", found.T_ics_scs)
     source = Source(
-        run=run, method="cones from the moving boat", observations=found.n_points, sigma0=found.sigmas["all"]
+        run=run, method="cones from the moving boat", observations=found.n_points, sigma0=found.sigma0
     )
     write_calibration(path, Calibration(title="Lidar on the boat", blocks=(block,), cov=cov, source=source))
 

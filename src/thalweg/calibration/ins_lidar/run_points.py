@@ -10,18 +10,7 @@ from scipy.signal import savgol_filter
 
 from thalweg.calibration import Cone
 from thalweg.clocks import apart_words, span_text
-from thalweg.core import (
-    ArrayB,
-    ArrayF,
-    ArrayI,
-    CoverageError,
-    GeometryError,
-    Rigid,
-    Trajectory,
-    njit,
-    plane_rates,
-    rows_of,
-)
+from thalweg.core import ArrayB, ArrayF, ArrayI, CoverageError, Rigid, Trajectory, njit, plane_rates, rows_of
 from thalweg.settings.sections import InsLidarFit
 
 _SMOOTHED_S: Final = 1.5
@@ -32,13 +21,6 @@ _HOLE: Final = 3.0
 
 SAMPLED: Final = 500
 """Points of each block that are kept to say where the lidar's points are."""
-_AROUND_M: Final = 10.0
-"""Heights of points as near to a cone in plan are compared with it."""
-_WIND: Final = ("north", "north-east", "east", "south-east", "south", "south-west", "west", "north-west")
-_POLE_M: Final = 5.0
-"""A pole that was not taken off explains no greater difference of heights."""
-_DATUM_M: Final = 1000.0
-"""Datums of one country differ by less; farther away the place itself is another one."""
 
 SCORE_WIDTH_M: Final = 0.10
 """Width of the score's kernel: wider than the errors of trajectory and scanner, narrower than a cone."""
@@ -60,10 +42,6 @@ class FieldCones:
     cones : in pcs.
     length_m : (c,) from the apex to the base along the axis.
     cov : (6 c, 6 c) joint covariance of the parameters of all cones; nothing given: that of each by itself.
-
-    Raises
-    ------
-    GeometryError : numbers of names, cones and lengths differ, or a name stands twice.
     """
 
     names: tuple[str, ...]
@@ -74,18 +52,11 @@ class FieldCones:
     def __post_init__(self) -> None:
         c = len(self.cones)
         length = np.asarray(self.length_m, dtype=np.float64)
-        if len(self.names) != c or length.shape != (c,) or len(set(self.names)) != c or not c:
-            raise GeometryError(
-                f"{len(set(self.names))} names, {c} cones, {length.size} lengths",
-                expected="a name and a length for each cone",
-            )
         cov = np.asarray(self.cov, dtype=np.float64)
         if cov.size == 0:
             cov = np.zeros((6 * c, 6 * c))
             for k, cone in enumerate(self.cones):
                 cov[6 * k : 6 * k + 6, 6 * k : 6 * k + 6] = cone.cov
-        if cov.shape != (6 * c, 6 * c):
-            raise GeometryError(f"a covariance {cov.shape} of {c} cones", expected=f"{(6 * c, 6 * c)}")
         object.__setattr__(self, "length_m", length)
         object.__setattr__(self, "cov", cov)
 
@@ -212,20 +183,13 @@ def no_pose(trajectory: Trajectory, t_gps_s: ArrayF, n: int | None = None) -> Co
         )
     lidar = (float(timed.min()), float(timed.max()))
     apart = apart_words(lidar, (first, last))
-    if not apart:
-        return CoverageError(
-            f"{count} of {span_text(*lidar)} lie in gaps of the trajectory, which covers "
-            f"{span_text(first, last)}",
-            expected="poses while the lidar sees the cones",
-            cure="Look at the gaps of INS and positions in the table of streams",
-        )
     return CoverageError(
-        f"{count} of {span_text(*lidar)}, but the trajectory covers "
-        f"{span_text(first, last)}; the lidar's log: {apart}",
-        expected="lidar, INS and positions of the same run",
-        cure="Set the hour of the lidar's clock right, or its offset from UTC"
-        if "hour" in apart
-        else "Record lidar, INS and GNSS at the same time; check that the logs belong together",
+        f"{count} of {span_text(*lidar)}, but the trajectory covers {span_text(first, last)}"
+        + (f"; the lidar's log: {apart}" if apart else ", with gaps then"),
+        expected="lidar, INS and positions of the same run, with poses while the lidar sees the cones",
+        cure="Check that the logs belong together, the hour of the lidar's clock and its offset from UTC, "
+        "and the "
+        "gaps of INS and positions in the table of streams",
     )
 
 
@@ -257,71 +221,7 @@ def smooth_rates(trajectory: Trajectory) -> tuple[ArrayF, ArrayF]:
 # ---------------------------------------------------------------- points of a lidar log that may lie on cones
 #
 # A log is read in blocks. Of each block the points near the cones are kept, and some of all others: if none
-# comes near, these say where the lidar's points are and where the cones should be. A field whose heights
-# are of another system lies tens of metres above or below the scan; one with a wrong datum or zone lies
-# beside it.
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Way:
-    """From a lidar's points to the cones of a field: the nearest pair, and how the whole field lies.
-
-    ``nearest_m`` in space, ``nearest_plan_m`` in plan; ``plan_m`` (2,) east and north from the middle of the
-    points to that of the cones; ``height_m`` of the cones above the points around them, or above all points
-    if none is around.
-    """
-
-    nearest_m: float
-    nearest_plan_m: float
-    plan_m: ArrayF
-    height_m: float
-
-    @classmethod
-    def between(cls, points_wcs_m: ArrayF, centres_wcs_m: ArrayF) -> Self:
-        """The way from points (n, 3) to the centres (c, 3) of cones."""
-        apart = centres_wcs_m[None] - points_wcs_m[:, None]
-        plan = np.linalg.norm(apart[..., :2], axis=2)
-        around = plan < _AROUND_M
-        heights = apart[..., 2][around if around.any() else np.ones_like(around)]
-        return cls(
-            nearest_m=float(np.linalg.norm(apart, axis=2).min()),
-            nearest_plan_m=float(plan.min()),
-            plan_m=np.asarray(centres_wcs_m[:, :2].mean(axis=0) - np.median(points_wcs_m[:, :2], axis=0)),
-            height_m=float(np.median(heights)),
-        )
-
-    @property
-    def words(self) -> str:
-        """The way as a part of a sentence about the cones."""
-        wind = _WIND[round(np.degrees(np.arctan2(*self.plan_m)) / 45.0) % 8]
-        return (
-            f"{np.linalg.norm(self.plan_m):,.1f} m {wind} of the middle of the points, "
-            f"{abs(self.height_m):,.1f} m {'above' if self.height_m > 0 else 'below'} them; the nearest "
-            f"point is {self.nearest_m:,.1f} m away, in plan {self.nearest_plan_m:,.1f} m"
-        )
-
-    def cure(self, reach_m: float) -> str:
-        """What to look at: heights, datum, or place."""
-        if self.nearest_plan_m <= reach_m:
-            if abs(self.height_m) <= _POLE_M:
-                return (
-                    "In plan the field is where the lidar was: check that the height of the pole was taken "
-                    "off the heights of the targets, and the lever arm of the boat's antenna"
-                )
-            return (
-                "In plan the field is where the lidar was, its height is not: heights of targets and "
-                "positions are of two systems. Both must be ellipsoidal (h_ell_m); heights above sea level "
-                "differ from these by the geoid, 36 to 50 m in Germany. Check the base's height as well"
-            )
-        if np.linalg.norm(self.plan_m) <= _DATUM_M:
-            return (
-                "Check the datum of the targets and of the base's coordinates: national datums are some "
-                "100 m apart from ITRS; and that the run was recorded at this field"
-            )
-        return (
-            "Check lat_deg and lon_deg of the targets: exchanged, of another EPSG code or zone before they "
-            "were converted, or of another field; and the coordinates of the base"
-        )
+# comes near, these say where the lidar's points are and where the cones should be.
 
 
 @dataclass(slots=True, kw_only=True)
@@ -374,13 +274,16 @@ class NearCones:
             raise no_pose(self.trajectory, np.concatenate([np.zeros(0), *self._times]), self.n)
         rows = np.concatenate(self._near)
         if not len(rows):
-            way = Way.between(sample, self.cones.spheres(self.T_wcs_pcs)[0])
+            centre = np.median(self.cones.spheres(self.T_wcs_pcs)[0], axis=0)
+            east, north, up = centre - np.median(sample, axis=0)
             raise CoverageError(
                 f"the lidar and the trajectory overlap in time, but none of {self.n:,} lidar points comes "
                 f"within {self.reach_m:.1f} m of a cone: the cones {', '.join(self.cones.names)} are "
-                + way.words,
+                f"{east:+,.1f} m east, {north:+,.1f} m north, {up:+,.1f} m up of the middle of the points",
                 expected="a run past the cones of the field, in the world frame of its targets",
-                cure=way.cure(self.reach_m + float(self.cones.spheres(self.T_wcs_pcs)[1].max())),
+                cure="Check coordinates (lat_deg, lon_deg), datum and ellipsoidal heights (the pole taken "
+                "off) of the "
+                "targets and of the base, and that the run was recorded at this field",
             )
         return RunPoints.on(self.trajectory, rows[:, :3], rows[:, 3])
 

@@ -31,11 +31,11 @@ from thalweg.core import (
 from thalweg.images.bundle.normals import (
     Correlation,
     Tracks,
-    along_and_across,
     cost_of,
     derivatives_by_point,
     estimate,
     linearised,
+    linearised_tracks,
     parallax,
     point_steps,
     projected,
@@ -45,7 +45,7 @@ from thalweg.images.bundle.normals import (
     views,
 )
 from thalweg.images.bundle.problem import Layout, Problem, State, moved, start_state, with_shared_errors
-from thalweg.images.model import ControlMarks, ControlPoints, ImagePoses, swapped, triangulated
+from thalweg.images.model import ControlMarks, ControlPoints, ImagePoses, triangulated
 from thalweg.settings.sections import BlockAdjustment
 
 _SMALL_PIVOT: Final = 1e-6
@@ -621,14 +621,17 @@ def _track_weights(problem: Problem, layout: Layout, x: State, weights: Weights)
     if options.correlated:
         chosen = tracks_of(problem, weights.used, sigma, weights.view, weights.along)
         known = weights.correlation if weights.correlation.slow > 0 else None
+        part = linearised_tracks(problem, layout, x, chosen)
         weights.correlation = estimate(
-            chosen.first, *_geometry(problem, layout, x, chosen), chosen.sigma_px, chosen.view, known
+            chosen.first, part.by_point, part.residual, chosen.sigma_px, chosen.view, known
         )
     n = len(every.point)
     logarithm, square, fit = np.empty(n), np.empty(n), np.empty(len(every.mark))
+    part = linearised_tracks(problem, layout, x, every)
     restricted_parts(
         every.first,
-        *_geometry(problem, layout, x, every),
+        part.by_point,
+        part.residual,
         every.sigma_px,
         every.view,
         weights.correlation.model,
@@ -670,14 +673,6 @@ def neighbours_noise(points_m: ArrayF, square: ArrayF, degrees: ArrayF) -> Array
     capped = np.minimum(square, 10.0 * usual * degrees)
     noise = capped[near[:, 1:]].sum(axis=1) / degrees[near[:, 1:]].sum(axis=1)
     return np.asarray(noise / np.median(noise))
-
-
-def _geometry(problem: Problem, layout: Layout, x: State, tracks: Tracks) -> tuple[ArrayF, ArrayF]:
-    """Derivatives (m, 2, 3) of marks by their points, and residuals (m, 2), along and across."""
-    at = np.repeat(tracks.point, np.diff(tracks.first))
-    part = linearised(problem, layout, x, tracks.image, x.X[at], tracks.xy_px)
-    part = along_and_across(part, tracks.along)
-    return part.by_point, part.residual
 
 
 def _weigh_control(problem: Problem, layout: Layout, x: State, weights: Weights) -> None:
@@ -913,14 +908,6 @@ def control_result(adjusted: AdjustedBlock) -> ControlResult:
         "what its sigma allows"
         for i in np.flatnonzero(suspect)
     ]
-    found = control.points_wcs_m + without
-    notes += swapped(
-        found,
-        control.points_wcs_m,
-        control.names,
-        np.flatnonzero(suspect),
-        max(0.3, 0.5 * float(np.median(np.linalg.norm(without[suspect], axis=1))) if suspect.any() else 0.3),
-    )
     strange = np.flatnonzero((count == 0) & (marks.counts(k) > 0))
     notes += [
         f"None of the {int(marks.counts(k)[i])} marks of {control.names[i]} fits: is it another point?"

@@ -6,18 +6,11 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from scipy.spatial import cKDTree
 
-from thalweg.core import AnyArray, ArrayB, ArrayF, ArrayI, Camera, GeometryError, ThalwegError, robust_sigma
+from thalweg.core import AnyArray, ArrayB, ArrayF, ArrayI, Camera, GeometryError, robust_sigma
 from thalweg.core.geometry import fit_points
-from thalweg.images.bundle.adjustment import (
-    AdjustedBlock,
-    ControlResult,
-    adjust_block,
-    adjusted_cameras,
-    control_result,
-)
-from thalweg.images.bundle.problem import Antenna, Problem
+from thalweg.images.bundle.adjustment import AdjustedBlock, ControlResult, adjusted_cameras
+from thalweg.images.bundle.problem import Antenna
 from thalweg.images.model import (
     CURE_LINE,
     ControlPoints,
@@ -26,9 +19,7 @@ from thalweg.images.model import (
     Similarity,
     angles_between,
     is_line,
-    mean_rotation,
 )
-from thalweg.settings.sections import BlockAdjustment
 
 CURE_DATUM: Final = (
     "Give at least three control points that are measured in two images each and not on a line, or let the "
@@ -53,11 +44,7 @@ MOST_DEG: Final = 45.0
 """Median angle that is believed; a mount by hand is off by some degrees."""
 _SIGMAS: Final = 4.0
 _BETTER: Final = 0.25
-_GEOID_M: Final = (15.0, 110.0)
-"""Heights of geoids above the ellipsoid are within +-107 m; below 15 m other causes are likelier."""
 _LEVEL_M: Final = 3.0
-_STEEP_M: Final = 6.0
-"""Height of a bank within a few metres beside a point, with the error of a block placed by its track."""
 _APART_M: Final = 0.3
 """Median distance of cameras from their predictions below which their clock is not doubted."""
 _LEAST_IN_TIME: Final = 8
@@ -70,17 +57,12 @@ LEAST: Final = 3
 
 
 def check_datum(
-    placed: ImageBlock,
-    given: ControlPoints,
-    control: ControlPoints,
-    antenna: Antenna | None,
-    left_out: Mapping[str, str],
+    given: ControlPoints, control: ControlPoints, antenna: Antenna | None, left_out: Mapping[str, str]
 ) -> None:
     """Refuse a block that neither control points nor the antenna hold.
 
     Parameters
     ----------
-    placed : the block roughly in the world.
     given, control : all points, and those that can take part.
     left_out : reasons of the others.
 
@@ -101,8 +83,6 @@ def check_datum(
         )
     why = [f"{int(given.check.sum())} of {len(given.names)} are check points"] if given.check.any() else []
     why += [f"{count} {reason}" for reason, count in Counter(left_out.values()).most_common(3)]
-    lost = points_lie(placed, given) if len(left_out) > n else ""
-    why += [lost] if lost else []
     had = f", and positions of the antenna at {len(antenna.image)} images" if antenna else ""
     had = had or " and no positions of the antenna"
     raise GeometryError(
@@ -112,28 +92,31 @@ def check_datum(
     )
 
 
-def check_control(control: ControlPoints, result: ControlResult, demoted: Sequence[str]) -> None:
+def check_control(
+    control: ControlPoints, result: ControlResult, demoted: Sequence[str], *, calibrated: bool
+) -> None:
     """Refuse control points most of which contradict each other by far.
 
     Parameters
     ----------
     demoted : names of points that were made check points because they contradict.
+    calibrated : whether a given interior orientation counts, which may be that of another camera or zoom.
 
     Raises
     ------
-    GeometryError : half of the points and more are off, by a median of several sigmas.
+    GeometryError : half of the points and more are off, by a median of several sigmas or with a calibration.
     """
     wrong: ArrayB = result.suspect | np.isin(np.array(control.names, object), list(demoted))
     apart = float(np.sqrt(np.nanmedian(result.test) / 3)) if len(wrong) else 0.0
-    if 2 * int(wrong.sum()) <= len(wrong) or apart <= _NO_BLOCK:
+    if 2 * int(wrong.sum()) <= len(wrong) or (apart <= _NO_BLOCK and not calibrated):
         return
     away = float(np.nanmedian(np.linalg.norm(result.without_m, axis=1)))
     raise GeometryError(
         f"{int(wrong.sum())} of {len(wrong)} control and check points contradict the others, by a median "
         f"of {away:.2f} m, {apart:.0f} times what their sigmas allow",
         expected="points that agree with the block",
-        cure=f"{_CHECK_POINTS}, and the interior orientation of the camera; state larger standard deviations "
-        "if the survey of the points is worse",
+        cure=f"{_CHECK_POINTS}, and the interior orientation of the camera (images.adjustment.interior: free "
+        "estimates it); state larger standard deviations if the survey of the points is worse",
     )
 
 
@@ -199,42 +182,6 @@ def _place_notes(adjusted: AdjustedBlock) -> list[str]:
                 "opened since?"
             )
     return notes
-
-
-def check_free(
-    problem: Problem, free: Problem, options: BlockAdjustment, result: ControlResult, before: int
-) -> None:
-    """Refuse a calibration with which control points contradict each other, and without which they do not.
-
-    Parameters
-    ----------
-    problem, free : the block with the calibration, and the same with an interior orientation to estimate.
-    result : of the former.
-    before : control points that were made check points because they contradict.
-
-    Raises
-    ------
-    GeometryError : the calibration is that of another camera, focus or zoom.
-    """
-    n = len(problem.control.names)
-    if not any(problem.weighted) or 2 * (int(result.suspect.sum()) + before) <= n:
-        return
-    try:
-        trial = adjust_block(free, options)
-    except ThalwegError:
-        return
-    left = int(control_result(trial).suspect.sum())
-    if 2 * left > n:
-        return
-    used, found = problem.block.cameras[0], adjusted_cameras(trial)[0]
-    raise GeometryError(
-        f"with the calibrated interior orientation (fx {used.parameters[0]:.1f} px) most of {n} control and "
-        f"check points contradict each other, with an estimated one (fx {found.parameters[0]:.1f} px) {left} "
-        "do",
-        expected="the calibration of this camera at this focus and zoom",
-        cure="Name the right calibration (logs.time_lapse.interior, mounts.calibration), or estimate it: "
-        "images.mapping.interior: estimated and images.adjustment.interior: free",
-    )
 
 
 # ---------------------------------------------------------------- does the block lie where the boat was?
@@ -313,7 +260,14 @@ def check_start(block: ImageBlock, start: Similarity, expected: Expected) -> lis
     if away <= expected.limit_m and not level_off:
         return []
     if level_off:
-        raise _heights(height, flat)
+        raise GeometryError(
+            f"the control points put the images {abs(height):.1f} m {'below' if height < 0 else 'above'} the "
+            f"trajectory, all alike, with positions that fit to {flat:.1f} m",
+            expected="heights above the ellipsoid, as those of the trajectory",
+            cure="Check the heights of the control points and of the base station; heights above the geoid "
+            "need its "
+            "height there as images.control.height_offset_m",
+        )
     in_time, notes = fitted_in_time(block, expected)
     if notes and in_time.away_m(start, block) <= min(_BETTER * away, expected.limit_m):
         return notes
@@ -395,61 +349,9 @@ def check_attitudes(placed: ImageBlock, expected: Expected) -> None:
     median = float(np.rad2deg(np.median(angles_between(R, expected.R_wcs_ccs))))
     if median <= MOST_DEG:
         return
-    turns = np.swapaxes(expected.R_wcs_ccs, 1, 2) @ R
-    mean = mean_rotation(turns)
-    left = float(np.rad2deg(np.median(angles_between(turns, np.broadcast_to(mean, turns.shape)))))
-    about_view = float(np.rad2deg(np.arctan2(mean[1, 0] - mean[0, 1], mean[0, 0] + mean[1, 1])))
-    constant = left < _BETTER * median
-    upright = constant and mean[2, 2] > np.cos(np.deg2rad(MOST_DEG))
     raise GeometryError(
-        f"the images look a median of {median:.0f} degrees away from where the camera's mount says"
-        + (f", as if all were turned by {about_view:+.0f} degrees about the view" if upright else "")
-        + (f", all alike to {left:.1f} degrees" if constant and not upright else ""),
+        f"the images look a median of {median:.0f} degrees away from where the camera's mount says",
         expected=f"at most {MOST_DEG:.0f} degrees",
         cure="Correct the angles of the camera (mounts.camera, or its calibration); pictures count as they "
         "are stored, the rotation in EXIF is not applied",
     )
-
-
-def _heights(height: float, flat: float) -> GeometryError:
-    words = (
-        f"the control points put the images {abs(height):.1f} m {'below' if height < 0 else 'above'} the "
-        f"trajectory, all alike, with positions that fit to {flat:.1f} m"
-    )
-    geoid = _GEOID_M[0] <= abs(height) <= _GEOID_M[1]
-    return GeometryError(
-        words,
-        expected="heights above the ellipsoid, as those of the trajectory",
-        cure=(
-            "Heights above the geoid differ so: set images.control.height_offset_m to the height of the "
-            f"geoid there, about {-height:.0f} m, from the geoid model of the land survey"
-            if geoid
-            else "Check the heights of the control points, and of the base station"
-        ),
-    )
-
-
-def points_lie(placed: ImageBlock, control: ControlPoints) -> str:
-    """In words, where control points lie from what the images show; empty if among it.
-
-    Parameters
-    ----------
-    placed : a block in the world, to a few metres.
-    """
-    seen = placed.points_block_m[np.isfinite(placed.points_block_m).all(axis=1)]
-    if len(seen) < LEAST or not len(control.names):
-        return ""
-    found = cKDTree(seen[:, :2]).query(control.points_wcs_m[:, :2], k=list(range(1, min(5, len(seen)) + 1)))
-    flat, near = np.asarray(found[0]), np.asarray(found[1], np.int64)
-    away = float(np.median(flat[:, 0]))
-    if away > MOST_M:
-        return f"they lie a median of {away:.0f} m beside all that the images show: check their CRS"
-    off = control.points_wcs_m[:, 2] - np.median(seen[near, 2], axis=1)
-    height = float(np.median(off))
-    if abs(height) <= _STEEP_M:
-        return ""
-    side = "below" if height < 0 else "above"
-    words = f"they lie a median of {abs(height):.0f} m {side} what the images show"
-    if _GEOID_M[0] <= abs(height) <= _GEOID_M[1]:
-        return f"{words}, as heights above the geoid do: images.control.height_offset_m"
-    return f"{words}: check their heights"

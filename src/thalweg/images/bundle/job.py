@@ -46,7 +46,7 @@ from thalweg.images.bundle.adjustment import (
     image_poses,
     pose_covariance,
 )
-from thalweg.images.bundle.checks import LEAST, Interiors, points_lie
+from thalweg.images.bundle.checks import LEAST, Interiors
 from thalweg.images.bundle.problem import Antenna, antenna_at_images, antenna_lever_ccs, rig_frames
 from thalweg.images.bundle.run import Oriented, orient_block, world_block
 from thalweg.images.model import (
@@ -871,12 +871,12 @@ def marks_of_campaign(
     found = measure_boards(placed, control, section, grey, mask)
     notes = [*start.notes, *found.notes]
     if found.table.loc[found.table["used"].astype(bool), "point"].nunique() < LEAST:
-        where = points_lie(placed, control)
         notes.append(
             f"Of {len(control.names)} control points fewer than {LEAST} were found"
-            + (f"; {where}" if where else "")
-            + f". They are looked for within {3 * section.search_m:g} m of where clock, trajectory and "
-            "mount put them (images.control.search_m), as boards of images.control.board_m"
+            f". They are looked for within {3 * section.search_m:g} m of where clock, trajectory and mount "
+            "put them "
+            "(images.control.search_m), as boards of images.control.board_m: check CRS and heights of the "
+            "points"
         )
     return Measured(table=found.table, counts=found.counts, notes=notes)
 

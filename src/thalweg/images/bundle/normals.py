@@ -159,13 +159,22 @@ class Tracks:
         own = {name: getattr(self, name)[rows] for name in names}
         return Tracks(point=self.point[kept], first=np.append(first, len(rows)).astype(np.int64), **own)
 
-    def chunks(self) -> Iterator[tuple[slice, slice]]:
-        """Slices of tracks and of their marks, of limited size."""
+    @property
+    def at(self) -> ArrayI:
+        """(m,) point of each mark."""
+        return np.repeat(self.point, np.diff(self.first))
+
+    def chunks(self) -> Iterator["Tracks"]:
+        """Tracks in parts of limited size."""
+        names = ("mark", "image", "xy_px", "sigma_px", "view", "along")
         begin = 0
         while begin < len(self.point):
             end = int(np.searchsorted(self.first, self.first[begin] + CHUNK, side="right")) - 1
             end = min(max(end, begin + 1), len(self.point))
-            yield slice(begin, end), slice(int(self.first[begin]), int(self.first[end]))
+            rows = slice(int(self.first[begin]), int(self.first[end]))
+            own = {name: getattr(self, name)[rows] for name in names}
+            first = self.first[begin : end + 1] - self.first[begin]
+            yield Tracks(point=self.point[begin:end], first=first, **own)
             begin = end
 
 
@@ -248,6 +257,12 @@ def along_and_across(part: Marks, along: ArrayF) -> Marks:
     )
 
 
+def linearised_tracks(problem: Problem, layout: Layout, x: State, tracks: Tracks) -> Marks:
+    """Marks of tracks, along and across the parallax."""
+    part = linearised(problem, layout, x, tracks.image, x.X[tracks.at], tracks.xy_px)
+    return along_and_across(part, tracks.along)
+
+
 def _turns(along: ArrayF) -> ArrayF:
     return np.stack([along, np.stack([-along[:, 1], along[:, 0]], axis=1)], axis=1)
 
@@ -282,19 +297,17 @@ def reduced_system(
     u = len(layout.names)
     N, g = np.zeros((u, u)), np.zeros(u)
     tie = 0.0
-    for which, rows in tracks.chunks():
-        at = np.repeat(tracks.point[which], np.diff(tracks.first[which.start : which.stop + 1]))
-        part = linearised(problem, layout, x, tracks.image[rows], x.X[at], tracks.xy_px[rows])
-        part = along_and_across(part, tracks.along[rows])
+    for some in tracks.chunks():
+        part = linearised_tracks(problem, layout, x, some)
         tie += add_tracks(
-            tracks.first[which.start : which.stop + 1] - tracks.first[which.start],
-            layout.exposure[tracks.image[rows]],
+            some.first,
+            layout.exposure[some.image],
             part.by_pose,
             part.by_rest,
             part.by_point,
             part.residual,
-            tracks.sigma_px[rows],
-            tracks.view[rows],
+            some.sigma_px,
+            some.view,
             model.model,
             damping,
             layout.n_poses,
@@ -318,26 +331,13 @@ def point_steps(
     step = np.zeros_like(x.X)
     poses = d[: layout.n_poses].reshape(-1, 6)
     rest = d[layout.n_poses : layout.n_poses + layout.n_interior]
-    for which, rows in tracks.chunks():
-        first = tracks.first[which.start : which.stop + 1]
-        at = np.repeat(tracks.point[which], np.diff(first))
-        image = tracks.image[rows]
-        part = linearised(problem, layout, x, image, x.X[at], tracks.xy_px[rows])
-        part = along_and_across(part, tracks.along[rows])
-        by_pose = np.einsum("maj,mj->ma", part.by_pose, poses[layout.exposure[image]])
+    for some in tracks.chunks():
+        part = linearised_tracks(problem, layout, x, some)
+        by_pose = np.einsum("maj,mj->ma", part.by_pose, poses[layout.exposure[some.image]])
         left = part.residual - by_pose - part.by_rest @ rest
-        found = np.empty((which.stop - which.start, 3))
-        solve_points(
-            first - first[0],
-            part.by_point,
-            left,
-            tracks.sigma_px[rows],
-            tracks.view[rows],
-            model.model,
-            damping,
-            found,
-        )
-        step[tracks.point[which]] = found
+        found = np.empty((len(some.point), 3))
+        solve_points(some.first, part.by_point, left, some.sigma_px, some.view, model.model, damping, found)
+        step[some.point] = found
     return step
 
 
@@ -346,14 +346,12 @@ def cost_of(
 ) -> float:
     """Weighted square sum of all observations at a state."""
     total = 0.0
-    for which, rows in tracks.chunks():
-        first = tracks.first[which.start : which.stop + 1]
-        at = np.repeat(tracks.point[which], np.diff(first))
-        xy = projected(problem, x, tracks.image[rows], x.X[at])
-        residual = np.nan_to_num(tracks.xy_px[rows] - xy, nan=NO_IMAGE_PX)
-        residual = np.einsum("mij,mj->mi", _turns(tracks.along[rows]), residual)
-        value = np.empty(which.stop - which.start)
-        track_costs(first - first[0], residual, tracks.sigma_px[rows], tracks.view[rows], model.model, value)
+    for some in tracks.chunks():
+        xy = projected(problem, x, some.image, x.X[some.at])
+        residual = np.nan_to_num(some.xy_px - xy, nan=NO_IMAGE_PX)
+        residual = np.einsum("mij,mj->mi", _turns(some.along), residual)
+        value = np.empty(len(some.point))
+        track_costs(some.first, residual, some.sigma_px, some.view, model.model, value)
         total += float(value.sum())
     empty = Reduced(np.empty((0, 0)), np.empty(0), {}, {})
     _add_control(problem, layout, x, control_sigma_px, empty, derive=False)

@@ -141,10 +141,6 @@ class RigFrames:
         is known, but for those of zero covariance, which are held; ``fixed``: all are held.
     cov : joint covariance of the parameters of all cameras, one after the other, and of the places of all
         (shift, rotation; in the rig), as a calibration of the rig found it.
-
-    Raises
-    ------
-    GeometryError : shapes that differ, or an exposure without images.
     """
 
     exposures: tuple[str, ...]
@@ -152,13 +148,6 @@ class RigFrames:
     T_rig_lens: tuple[Rigid, ...]
     cov: ArrayF
     places: Literal["weighted", "free", "fixed"] = "weighted"
-
-    def __post_init__(self) -> None:
-        if len(np.unique(self.exposure)) != len(self.exposures):
-            raise GeometryError(
-                f"images of {len(np.unique(self.exposure))} of {len(self.exposures)} exposures of a rig",
-                expected="an image or more of each",
-            )
 
     @property
     def sought(self) -> ArrayB:

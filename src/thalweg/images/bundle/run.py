@@ -16,21 +16,13 @@ from thalweg.images.bundle.checks import (
     check_attitudes,
     check_control,
     check_datum,
-    check_free,
     check_start,
     doubts,
     fitted_in_time,
     interior_notes,
     interior_of,
 )
-from thalweg.images.bundle.normals import (
-    Correlation,
-    along_and_across,
-    linearised,
-    restricted_parts,
-    tracks_of,
-    views,
-)
+from thalweg.images.bundle.normals import Correlation, linearised_tracks, restricted_parts, tracks_of, views
 from thalweg.images.bundle.problem import Antenna, Problem, RigFrames, clock_notes
 from thalweg.images.model import (
     CURE_LINE,
@@ -140,16 +132,13 @@ def predicted_block(block: ImageBlock, predictions: ImagePoses | None) -> ImageB
 
     An image without a prediction keeps its pose relative to the nearest one that has one.
     """
-    if predictions is None:
-        return None
-    row = {name: k for k, name in enumerate(predictions.images) if predictions.oriented[k]}
-    known = np.array([name in row for name in block.images])
-    if known.sum() < _LEAST_IMAGES:
+    expected = Expected.of(block, predictions)
+    at = expected.at
+    if len(at) < _LEAST_IMAGES:
         return None
     centre, R = block.centre_block_m.copy(), block.R_block_ccs.copy()
-    where = [row[block.images[k]] for k in np.flatnonzero(known)]
-    centre[known], R[known] = predictions.centre_wcs_m[where], predictions.R_wcs_ccs[where]
-    at = np.flatnonzero(known)
+    centre[at], R[at] = expected.centre_wcs_m, expected.R_wcs_ccs
+    known = np.isin(np.arange(len(block.images)), at)
     for k in np.flatnonzero(~known):
         near = at[np.argmin(np.linalg.norm(block.centre_block_m[at] - block.centre_block_m[k], axis=1))]
         turn = R[near] @ block.R_block_ccs[near].T
@@ -188,9 +177,7 @@ def misfit(one: AdjustedBlock, first: AdjustedBlock, second: AdjustedBlock) -> f
     view = views(second.x.X[block.mark_point], second.x.C[block.mark_image])
     sigma = block.sigma_px
     tracks = tracks_of(problem, first.used & second.used, sigma, view)
-    at = np.repeat(tracks.point, np.diff(tracks.first))
-    part = linearised(problem, one.layout, x, tracks.image, x.X[at], tracks.xy_px)
-    part = along_and_across(part, tracks.along)
+    part = linearised_tracks(problem, one.layout, x, tracks)
     n = len(tracks.point)
     logarithm, square = np.empty(n), np.empty(n)
     restricted_parts(
@@ -392,7 +379,7 @@ def orient_block(
         notes += start.notes
         given = control
         control, marks, left_out = _usable(control, marks, start if source == "control points" else None)
-        check_datum(moved, given, control, antenna, left_out)
+        check_datum(given, control, antenna, left_out)
     cameras, free, weighted = _interior(moved.cameras, settings, known)
     # Held without a sigma, distortion that is not estimated freely would bend the rest, and no covariance
     # would tell: with a k3 of -0.018 held at zero, k2 came out ten sigmas off.
@@ -424,13 +411,7 @@ def orient_block(
         problem = replace(problem, control=problem.control.as_check(demoted[-1:]))
         adjusted = adjust_block(problem, settings, progress=progress)
         result = control_result(adjusted)
-    if known is not None and any(problem.weighted):
-        cameras, free, weighted = _interior(moved.cameras, settings.replace(interior="free"), None)
-        estimated = replace(
-            problem, block=replace(moved, cameras=cameras), free=free, weighted=weighted, control=control
-        )
-        check_free(problem, estimated, settings, result, len(demoted))
-    check_control(control, result, demoted)
+    check_control(control, result, demoted, calibrated=any(problem.weighted))
     notes += interior_notes(adjusted, known)
     notes += clock_notes(antenna, float(adjusted.x.extras[-1]) if len(adjusted.x.extras) else 0.0)
     notes += [*adjusted.notes, *result.notes, *doubts(problem.control, result, antenna)]

@@ -16,7 +16,6 @@ from .block import (
     robust_similarity as robust_similarity,
     start_from_control as start_from_control,
     start_from_positions as start_from_positions,
-    swapped as swapped,
     triangulated as triangulated,
 )
 from .files import (

@@ -40,8 +40,6 @@ _FIT_SHARE: Final = 0.03
 _LEAST_FIT_M: Final = 0.3
 _LINE_SHARE: Final = 0.01
 """Spread across the longest direction, as a share of that along it, below which points are a line."""
-_CROSSED: Final = 0.3
-"""Distance of two points from each other's coordinates, as a share of their own: swapped up to it."""
 _MOST_PAIRS: Final = 150
 _LEAST_ANGLE_RAD: Final = 0.003
 """Rays that meet within so much are never called wrong: two pixels of a wide lens."""
@@ -311,7 +309,7 @@ def robust_similarity(
     """Similarity between points of which some may be wrong.
 
     The similarity of three that most points agree with wins, and the fitting points are adjusted together.
-    Points that do not fit are named with their misfit, and pairs whose names look swapped.
+    Points that do not fit are named with their misfit.
 
     Parameters
     ----------
@@ -362,26 +360,7 @@ def robust_similarity(
         for i in np.flatnonzero(~fits).tolist()
     ]
     R, shift, scale = found
-    notes += swapped(scale * source @ R.T + shift, target, names, np.flatnonzero(~fits), tolerance)
     return Similarity(scale=float(scale), R=R, shift_m=shift, misfit_m=off, fits=fits, notes=notes)
-
-
-def swapped(
-    found: ArrayF, target: ArrayF, names: Sequence[str], wrong: ArrayI, tolerance_m: float
-) -> list[str]:
-    """Notes on pairs of wrong points of which each lies where the other was surveyed."""
-
-    def crossed(i: int, j: int) -> float:
-        """Distance of either from the other's coordinates, beyond belief if they are as near themselves."""
-        off = max(np.linalg.norm(found[i] - target[j]), np.linalg.norm(found[j] - target[i]))
-        return float(off) if off < _CROSSED * np.linalg.norm(target[i] - target[j]) else np.inf
-
-    return [
-        f"The names of {names[i]} and {names[j]} seem to be swapped: each lies within "
-        f"{crossed(i, j):.2f} m of the other's coordinates"
-        for i, j in combinations(wrong.tolist(), 2)
-        if crossed(i, j) < tolerance_m
-    ]
 
 
 def _misfit(found: tuple[ArrayF, ArrayF, ArrayF], source: ArrayF, target: ArrayF) -> ArrayF:

@@ -6,7 +6,7 @@ vector in wcs, ``R_true = exp([dtheta]x) R_estimated``. Images that share tie po
 keeps the covariance of each image with the next one, which is what an interpolation between both needs.
 """
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final, Self
 
@@ -17,7 +17,6 @@ from scipy.spatial.transform import Rotation
 from thalweg.core import (
     ArrayB,
     ArrayF,
-    GeometryError,
     LocalFrame,
     Rigid,
     column,
@@ -80,10 +79,6 @@ class ImagePoses:
     cov_next : (n, 6, 6) covariance of an image's error with that of the next oriented image; zero for the
         last one.
     n_marks, rms_px : (n,) image measurements and the rms of their residuals.
-
-    Raises
-    ------
-    GeometryError : shapes that differ.
     """
 
     frame: LocalFrame
@@ -101,32 +96,13 @@ class ImagePoses:
     facts: dict[str, Any] = field(default_factory=dict)
     """JSON-able facts about the whole series: where it comes from, sigma0."""
 
-    def __post_init__(self) -> None:
-        n = len(self.images)
-        shapes: dict[str, tuple[tuple[int, ...], tuple[int, ...]]] = {
-            "t_gps_s": (self.t_gps_s.shape, (n,)),
-            "sigma_t_s": (self.sigma_t_s.shape, (n,)),
-            "oriented": (self.oriented.shape, (n,)),
-            "reasons": ((len(self.reasons),), (n,)),
-            "centre_wcs_m": (self.centre_wcs_m.shape, (n, 3)),
-            "R_wcs_ccs": (self.R_wcs_ccs.shape, (n, 3, 3)),
-            "cov_pose_wcs": (self.cov_pose_wcs.shape, (n, 6, 6)),
-            "cov_next": (self.cov_next.shape, (n, 6, 6)),
-            "n_marks": (self.n_marks.shape, (n,)),
-            "rms_px": (self.rms_px.shape, (n,)),
-        }
-        for name, (found, expected) in shapes.items():
-            if found != expected:
-                raise GeometryError(f"{name}.shape={found}", expected=str(expected))
-
     def pose(self, k: int) -> Rigid:
         """``T_wcs_ccs`` of image k with its covariance."""
         return Rigid(R=self.R_wcs_ccs[k], shift_m=self.centre_wcs_m[k], cov=self.cov_pose_wcs[k])
 
     def with_times(self, t_gps_s: ArrayF, sigma_t_s: ArrayF) -> "ImagePoses":
         """The same poses with other times of exposure."""
-        values = {name: getattr(self, name) for name in self.__dataclass_fields__}
-        return ImagePoses(**{**values, "t_gps_s": t_gps_s, "sigma_t_s": sigma_t_s})
+        return replace(self, t_gps_s=t_gps_s, sigma_t_s=sigma_t_s)
 
     def write(self, path: Path) -> None:
         """Write as Parquet table of kind ``image_poses``."""
