@@ -26,7 +26,7 @@ EAST, NORTH = 500_000.0, 5_400_000.0
 HALF_M = 10.0
 
 
-FEW_STEPS = 20
+FEW_STEPS = 40
 """Of the search for a model, which takes most of the time; the first test and real rivers search on."""
 
 
