@@ -1,8 +1,5 @@
 """INS, camera and fused trajectory side by side: numbers, ranges, crossings, and poses against the truth."""
 
-import json
-from dataclasses import replace
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -147,69 +144,6 @@ def test_spans():
 
 
 # ---------------------------------------------------------------- by range
-
-
-def test_curves_cross_where_their_forms_say(chains):
-    table = chains_by_range(chains)
-    facts = range_facts(table)
-    # (6 cm)^2 + (2 mm r)^2 = (2 cm)^2 + (4 mm r)^2; both with the reference's 4 mm
-    expected = np.sqrt((0.06**2 - 0.02**2) / (0.004**2 - 0.002**2))
-    for curve in ("rmse_predicted", "rmse_predicted_3d"):
-        found = crossing_of(facts, "camera", "ins", curve)
-        # within a class ranges differ by half a metre
-        assert found["crossing_m"] == pytest.approx(expected, abs=0.2)
-        assert (found["nearer"], found["farther"]) == ("camera", "ins")
-    never = crossing_of(facts, "ins", "fused", "rmse_predicted_3d")
-    assert (never["crossing_m"], never["nearer"], never["farther"]) == (None, "fused", "fused")
-    # 1.7 times the sigmas of the normal
-    assert facts["growth"]["ins"]["constant_m"] == pytest.approx(1.7 * 0.06, rel=0.02)
-    assert facts["growth"]["ins"]["per_metre"] == pytest.approx(1.7 * 0.002, rel=0.05)
-    json.dumps(facts, allow_nan=False)
-
-
-def test_who_wins_where(chains):
-    two = range_facts(chains_by_range(chains[:2]))
-    near, far = two["best_observed"]["camera"], two["best_observed"]["ins"]
-    # 440 points a class: a ratio of two RMSE scatters by 5 %; the curves cross at 16.3 m and differ by 15 %,
-    # three of those, at 12 and at 21 m
-    assert near[0][0] == 5
-    assert near[0][1] >= 12
-    assert far[-1] == [far[-1][0], 30]
-    assert far[-1][0] <= 21
-    assert two["best_of_two"] == two["best_observed"]
-    three = range_facts(chains_by_range(chains))
-    assert three["best_observed"] == {"ins": [], "camera": [], "fused": [[5, 30]]}
-    assert three["classes"] == 26
-    # poses of half a second: 20 s leave some 80 independent values and 11 % of difference by chance
-    assert three["decided"]["fused"] > 15
-
-
-def test_a_lead_is_certain_only_if_it_is_large_enough(chains):
-    table = chains_by_range(chains)
-    row = table[(table["points"] == WITHOUT_OUTLIERS) & (table["range_m"] == 10)].iloc[0]
-    ratio = row["camera_rmse_observed_m"] / row["fused_rmse_observed_m"]
-    spread = np.sqrt(1 / (2 * row["camera_independent"]) + 1 / (2 * row["fused_independent"]))
-    assert row["best_observed"] == "fused"
-    assert row["decided"]
-    assert np.log(ratio) > 2 * spread
-    # the same lead with so few independent values that it is 1.5 of its sigmas
-    few = chains[1].by_range.assign(independent_values=1.5**2 / np.log(ratio) ** 2)
-    fewer = chains[2].by_range.assign(independent_values=1.5**2 / np.log(ratio) ** 2)
-    poor = [replace(chains[1], by_range=few), replace(chains[2], by_range=fewer)]
-    again = chains_by_range(poor)
-    rows = again[(again["points"] == WITHOUT_OUTLIERS) & (again["range_m"] == 10)]
-    assert not rows["decided"].iloc[0]
-
-
-def test_classes_with_few_points_win_nothing(chains):
-    table = chains_by_range(chains)
-    thin = chains[1].by_range.copy()
-    thin.loc[thin["range_m"] > 20, "n"] = 29
-    poor = Chain(name="camera", counts=chains[1].counts, trajectory=chains[1].trajectory, by_range=thin)
-    few = chains_by_range([chains[0], poor])
-    assert set(few.loc[few["range_m"] > 20, "best_observed"]) == {""}
-    assert not few.loc[few["range_m"] > 20, "decided"].any()
-    assert "" not in set(table.loc[table["range_m"].between(5, 30), "best_observed"])
 
 
 def test_a_file_of_the_table_says_the_same(chains, tmp_path):

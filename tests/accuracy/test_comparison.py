@@ -1,6 +1,5 @@
 """A cloud against a mesh: distances, predictions, what is left out, the sample, clouds that lack sigmas."""
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -15,10 +14,9 @@ from thalweg.accuracy import (
     after_motion,
     compare_with_mesh,
     normalised_distances,
-    predicted_sigma_m,
 )
 from thalweg.accuracy.comparison import _Sample
-from thalweg.core import InputError, read_table, write_table
+from thalweg.core import InputError, write_table
 from thalweg.surface import Area, Surface
 
 SETTINGS = ComparisonSettings(reference_sigma_m=0.004)
@@ -160,16 +158,6 @@ def test_facts_about_what_was_compared(tmp_path: Path, rng: np.random.Generator)
     assert predicted["height_p95_m"] == pytest.approx(1.96 * 0.02, rel=1e-4)
 
 
-def test_the_table_goes_to_disk_and_back(tmp_path: Path, rng: np.random.Generator) -> None:
-    path = cloud_of(tmp_path, bank.on_bank(rng, 500))
-    table, facts = compare_with_mesh(path, bank.bank_mesh(), area=Area(), settings=SETTINGS)
-    write_table(tmp_path / "c2m.parquet", table, CLOUD_TO_MESH, facts)
-    again, told = read_table(tmp_path / "c2m.parquet", CLOUD_TO_MESH)
-    assert again.equals(table)
-    assert told == json.loads(json.dumps(facts))
-    assert told["area"] == "all that the reference covers"
-
-
 def test_a_large_cloud_is_sampled_without_preference(tmp_path: Path, rng: np.random.Generator) -> None:
     """Beams follow one another in a fixed order: every 16th point would always be of one beam."""
     n = 32_000
@@ -230,13 +218,6 @@ def test_clouds_that_lack_their_covariance_are_refused(
         compare_with_mesh(path, bank.bank_mesh(), area=Area(), settings=SETTINGS)
     for word in ("points.laz", *words):
         assert word in str(refused.value)
-
-
-def test_the_reference_has_its_part_in_every_prediction() -> None:
-    """30 mm of the point and 40 mm of the reference are 50 mm: 100 mm are two of them."""
-    table = pd.DataFrame({"distance_m": [0.1], "sigma_normal_m": [0.03], "sigma_reference_m": [0.04]})
-    assert predicted_sigma_m(table)[0] == pytest.approx(0.05)
-    assert normalised_distances(table)[0] == pytest.approx(2.0)
 
 
 def test_every_column_of_the_distances_by_hand(tmp_path: Path) -> None:

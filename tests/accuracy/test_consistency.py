@@ -49,33 +49,6 @@ def test_one_survey_tells_no_spread() -> None:
         consistency_by_range(np.zeros(5, dtype=int), *(np.ones(5) for _ in range(3)))
 
 
-def test_classes_are_those_of_the_thesis_and_thin_ones_are_joined(rng: np.random.Generator) -> None:
-    number = np.repeat(np.arange(20), 500)
-    # the border of a class belongs to the lower one: D - 0.5 < d <= D + 0.5
-    range_m = np.concatenate([rng.choice([9.51, 10.5, 10.51, 11.2], 9900), rng.uniform(30.0, 90.0, 100)])
-    table = consistency_by_range(number, range_m, rng.normal(size=10_000) ** 2, np.ones(10_000))
-    assert table["n"].sum() == 10_000
-    assert table["range_from_m"].tolist()[:2] == [9.5, 10.5]
-    near = (range_m > 9.5) & (range_m <= 10.5)
-    assert table["n"].iloc[0] == near.sum()
-    assert table["rmse_predicted_m"].to_numpy() == pytest.approx(1.0)
-    # the far points are of the last survey alone: they are joined with a class that enough have seen
-    assert len(table) == 2
-    assert table["range_to_m"].iloc[1] > 80
-    assert (table["surveys"] > 12).all()
-
-
-def test_more_classes_widen_each_band(rng: np.random.Generator) -> None:
-    number, range_m = np.repeat(np.arange(30), 400), np.tile(np.arange(400) % 20 + 10.0, 30)
-    squared = np.repeat(rng.chisquare(3, 30) / 3, 400)
-    many = consistency_by_range(number, range_m, squared, np.ones(12_000))
-    one = consistency_by_range(number, np.full(12_000, 10.0), squared, np.ones(12_000))
-    assert len(many) == 20
-    # the same spread in each class: t quantile of 0.05 / 20 over that of 0.05, 29 degrees of freedom
-    widening = np.log(many["ratio_high"].iloc[0]) / np.log(one["ratio_high"].iloc[0])
-    assert widening == pytest.approx(3.30 / 2.045, rel=0.01)
-
-
 def test_two_surveys_by_hand() -> None:
     """Sums 1 and 3 of squares, 1 predicted: q = 2, s / q = sqrt(2 (1 + 1)) / 4 = 0.5; m / (m - 1) is 2.
 

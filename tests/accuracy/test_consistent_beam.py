@@ -1,6 +1,6 @@
 """Does the proof see the beam? Far points of a survey whose poses are better than its beam.
 
-On the bare banks of `test_consistent_3d` errors of poses are larger than those of the echo's place in its
+On the bare banks of `test_consistent` errors of poses are larger than those of the echo's place in its
 footprint: a prediction with half the divergence passes there. Here poses are good to a few millimetres and a
 hundredth of a degree, and only points beyond 25 m count, most of which lie on ground that beams meet at a
 grazing angle. Each point errs by itself then, so that one survey of a second holds thousands of trials.

@@ -66,21 +66,6 @@ def test_bands_of_a_class_cover_as_they_say(rng: np.random.Generator, constant: 
     assert above > 0.01
 
 
-def test_white_noise_beside_the_poses_makes_the_band_safe(rng: np.random.Generator) -> None:
-    below, above = outside(visits(rng, 300), np.full(300, 0.05), 0.0, 0.05, rng, 2000)
-    assert 1 - below - above > 0.975
-
-
-def test_as_many_values_as_points_would_be_wrong(rng: np.random.Generator) -> None:
-    """The band of uncorrelated values misses most surveys: what the correlation time is for."""
-    t, sigma = visits(rng, 300), np.full(300, 0.05)
-    low, high = chi_square_band(300.0)
-    pose = np.exp(-np.abs(t[:, None] - t[None]) / TAU_S) * np.outer(sigma, sigma)
-    errors = np.linalg.cholesky(pose + 1e-12 * np.eye(300)) @ rng.normal(size=(300, 1000))
-    q = np.mean(errors**2, axis=0) / 0.05**2
-    assert np.mean((q > low) & (q < high)) < 0.3
-
-
 @pytest.mark.parametrize("tau_s", [5.0, 20.0, 60.0])
 def test_the_correlation_time_of_errors_is_seen_in_them(rng: np.random.Generator, tau_s: float) -> None:
     """Also under white noise twice as large, with gaps in time, and if another time was assumed."""

@@ -13,8 +13,7 @@ from thalweg.accuracy import ComparisonSettings, after_motion, chi_square_band, 
 from thalweg.accuracy.reference_comparison import registration_facts
 from thalweg.accuracy.registration import share_within_blocks
 from thalweg.core import GeometryError
-from thalweg.core.geometry import _open3d
-from thalweg.surface import LEAST_VISIBLE, TUKEY, Distances, Motion, Surface, visible_motions
+from thalweg.surface import LEAST_VISIBLE, Distances, Motion, Surface, visible_motions
 from thalweg_lab.random_numbers import gauss_markov, generator
 
 SETTINGS = ComparisonSettings(correlation_s=20.0)
@@ -231,40 +230,6 @@ def test_a_planted_tilt_is_more_than_poses_explain(tilt_deg: float) -> None:
         # found with four sigmas; the tilt of the errors themselves is within them
         assert np.rad2deg(found.rotation_rad @ bank.EAST) == pytest.approx(tilt, abs=4 * sigma)
         assert sigma < 0.1
-
-
-def test_open3d_finds_the_same(rough: Surface, rng) -> None:
-    """Peer: point-to-plane ICP with Tukey's loss between points, here to the vertices of a fine mesh."""
-    o3d = _open3d()
-    mesh = bank.bank_mesh(step_m=0.04, relief_m=RELIEF_M)
-    wanted = bank.on_bank(rng, 20_000, relief_m=RELIEF_M)
-    xyz, _ = displaced(wanted, [0.03, -0.02, 0.04], [0.1, -0.1, 0.2])
-    noisy = xyz + 0.01 * rng.normal(size=xyz.shape)
-    surface = Surface(mesh)
-    mine = register(table_of(noisy, surface), surface, SETTINGS)
-    target, source = o3d.geometry.PointCloud(), o3d.geometry.PointCloud()
-    target.points = o3d.utility.Vector3dVector(mesh.vertices_m)
-    normals = np.zeros_like(mesh.vertices_m)
-    for k in range(3):
-        np.add.at(normals, mesh.faces[:, k], mesh.face_normals())
-    target.normals = o3d.utility.Vector3dVector(normals / np.linalg.norm(normals, axis=1, keepdims=True))
-    source.points = o3d.utility.Vector3dVector(noisy)
-    icp = o3d.pipelines.registration
-    loss = icp.TukeyLoss(k=TUKEY * mine.spread_m)
-    start = np.eye(4)
-    start[:3, 3] = [0.03, -0.02, 0.04]  # its scale is fixed: it needs a start within it
-    result = icp.registration_icp(
-        source,
-        target,
-        2.0,
-        start,
-        icp.TransformationEstimationPointToPlane(loss),
-        icp.ICPConvergenceCriteria(relative_fitness=1e-10, relative_rmse=1e-10, max_iteration=100),
-    )
-    T = np.asarray(result.transformation)
-    # Open3D pairs with vertices up to 3 cm aside, whose tangential planes leave the waves by millimetres
-    assert worst(mine.motion, noisy, noisy @ T[:3, :3].T + T[:3, 3]) < 0.003
-    assert worst(mine.motion, xyz, wanted) < 0.003
 
 
 def test_facts_say_what_was_removed(plane: Surface, rng) -> None:

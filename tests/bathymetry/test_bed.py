@@ -30,7 +30,6 @@ from thalweg.bathymetry import (
     flow_of_survey,
     krige_bed,
     level_water,
-    observations_of,
     read_other_soundings,
     validate_bed,
 )
@@ -383,19 +382,6 @@ def field(n_lines: int, rng: np.random.Generator) -> tuple[Observations, Callabl
     return data, lambda at: (np.full(np.shape(at), 12.0), np.full(np.shape(at), 12.0))
 
 
-def test_model_of_a_field_of_known_covariance() -> None:
-    """Ranges within a factor of two, and the right answer to: how far off will I be?"""
-    found = []
-    settings = Bathymetry(drift="none", model="exponential")
-    for seed in range(3):
-        data, widths = field(12, np.random.default_rng(seed))
-        found.append(choose_model(data, widths, settings, slow_time_s=0.0, seed=seed))
-    ratio = np.array([m.covariance.range_s_m / m.covariance.range_n_m for m in found])
-    assert np.median(ratio) == pytest.approx(7.5, rel=0.5)
-    slope = [m.covariance.sill_m2 / m.covariance.range_n_m for m in found]
-    assert np.median(slope) == pytest.approx(0.09 / 8.0, rel=0.6)
-
-
 def test_four_lines_are_no_reason_for_small_sigmas() -> None:
     """Four sections between level shorelines: the bed between them is as uncertain as it is wrong."""
     settings, squares = Bathymetry(drift="none"), []
@@ -618,13 +604,6 @@ def test_lengths_over_which_errors_are_alike_give_the_sigma_of_a_mean() -> None:
     assert 0.2 < lengths["section"] < lengths["area"] < 20.0
     assert np.mean(squares) == pytest.approx(1.0, abs=0.4)  # 60 values
     assert np.mean(of_sections) == pytest.approx(1.0, abs=0.3)
-
-
-def test_observations_of_a_table_keep_every_column(bed) -> None:
-    data = observations_of(bed.data)
-    assert len(data) == len(bed.data)
-    np.testing.assert_array_equal(data.height_m, bed.data["up_m"])
-    np.testing.assert_array_equal(data.sigma_slow_m, bed.data["sigma_slow_m"])
 
 
 def test_soundings_outside_the_banks_are_counted_and_most_of_them_refused(survey) -> None:

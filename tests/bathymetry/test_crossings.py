@@ -60,16 +60,6 @@ def survey(
     ).assign(t_even_s=lambda of: of["t_gps_s"])
 
 
-def test_crossings_are_where_lines_meet() -> None:
-    table = survey(1, slow_m=1e-6, white_m=1e-6)
-    found = find_crossings(table)
-    # each of three lines along the river crosses each of eight legs once
-    assert len(found) == 24
-    assert np.allclose(np.sort(np.unique(np.round(found.north_m, 6))), [-5.0, 0.0, 5.0])
-    assert np.abs(found.difference_m).max() < 2e-4  # the bed is curved between two pings
-    assert (found.b_s > found.a_s + 5).all()
-
-
 def test_a_line_that_does_not_count_crosses_nothing() -> None:
     table = survey(1)
     table.loc[table["line"] == 9, "used"] = False  # one of the lines along the river

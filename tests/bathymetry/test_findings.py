@@ -87,15 +87,6 @@ def test_pattern_and_legs_matter_more_than_the_method() -> None:
     assert rmse("zigzag", 60.0) / rmse("zigzag", 15.0) > of_method / rmse("zigzag", 15.0)
 
 
-def test_sections_against_zigzag_by_length_of_a_leg() -> None:
-    """Sections are no worse where legs are long; where they are short, a zigzag is about as good."""
-    error = {(p, leg): rmse(p, leg) for p in ("zigzag", "sections") for leg in (7.5, 30.0, 60.0)}
-    for pattern in ("zigzag", "sections"):
-        assert error[pattern, 7.5] < error[pattern, 30.0] < error[pattern, 60.0]
-    assert error["sections", 60.0] < 1.1 * error["zigzag", 60.0]
-    assert error["zigzag", 7.5] < 1.5 * error["sections", 7.5] + 0.01
-
-
 def test_flow_coordinates_with_an_anisotropy_are_40_percent_better_on_a_meander() -> None:
     """Against kriging with one range in east and north, its parameters chosen in the same way."""
     data, _ = survey("zigzag", 15.0)

@@ -82,12 +82,6 @@ def test_coordinates_fold_at_nine_tenths_of_the_radius() -> None:
     assert turn.to_flow(inside)[2].tolist() == [False, True, True]
 
 
-def test_a_written_line_is_a_table_of_two_columns(tmp_path: Path) -> None:
-    FlowLine.through([[0.0, 0.5], [1.0, 0.0], [2.0, 0.0]]).write(tmp_path / "line.csv")
-    lines = (tmp_path / "line.csv").read_text().splitlines()
-    assert lines[:2] == ["east_m,north_m", "0.000000000,0.500000000"]
-
-
 @pytest.mark.real
 def test_published_meander(data_dir: Path) -> None:
     folder = data_dir / "stream_normal_coords" / "test_data"

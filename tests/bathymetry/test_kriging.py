@@ -1,13 +1,7 @@
 """Kriging against one system of all data, PyKrige, and fields of known covariance."""
 
-import os
-import subprocess
-import sys
-from time import process_time
-
 import numpy as np
 import pytest
-from scipy.interpolate import RBFInterpolator
 
 from thalweg.bathymetry.kriging import (
     KINDS,
@@ -120,41 +114,6 @@ def test_any_chunk_gives_the_same_bytes(octants: bool) -> None:
     assert whole[1].tobytes() == parts[1].tobytes()
 
 
-HASHED = """
-import hashlib
-import numba
-import numpy as np
-from thalweg.bathymetry import CovarianceModel, Observations, krige
-rng, n = np.random.default_rng(3), 400
-data = Observations(
-    s_m=rng.uniform(0, 100, n), n_m=rng.uniform(-15, 15, n), height_m=rng.standard_normal(n),
-    sigma_white_m=np.full(n, 0.02), sigma_slow_m=np.full(n, 0.03), t_s=np.arange(n) * 0.1,
-    line=np.arange(n) // 40,
-)
-of = CovarianceModel(kind="matern32", sill_m2=0.3, range_s_m=60.0, range_n_m=9.0, slow_time_s=5.0)
-cells = np.column_stack([rng.uniform(0, 100, 3000), rng.uniform(-15, 15, 3000)])
-for threads, chunk in ((1, 20_000), (3, 20_000), (3, 1100)):
-    numba.set_num_threads(threads)
-    found = krige(data, cells, of, chunk=chunk)
-    print(hashlib.sha256(found[0].tobytes() + found[1].tobytes()).hexdigest())
-"""
-
-
-def test_any_number_of_threads_gives_the_same_bytes() -> None:
-    """A program of its own: numba fixes the largest number of threads at its start."""
-    done = subprocess.run(
-        [sys.executable, "-W", "ignore", "-c", HASHED],
-        env={**os.environ, "NUMBA_NUM_THREADS": "3"},
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    found = done.stdout.split()
-    assert len(found) == 3
-    assert len(set(found)) == 1
-    assert len(found[0]) == 64
-
-
 def test_covariance_of_errors_is_that_of_one_system_and_of_simulated_errors() -> None:
     """Its diagonal is kriging's variance; sums of errors of drawn fields have the variance that it says."""
     data, of = observed(60, slow=0.03), model(slow_time_s=10.0)
@@ -178,24 +137,6 @@ def test_covariance_of_errors_is_that_of_one_system_and_of_simulated_errors() ->
         for z, true in zip(errors, drawn[:, n:], strict=True)
     ]
     assert np.mean(np.square(sums)) / cov.sum() == pytest.approx(1.0, abs=0.25)
-
-
-def test_limits_of_lines_and_octants_are_kept() -> None:
-    """With two of each line, no more than twice the lines count: what the answer is when the rest changes."""
-    data = observed(600)
-    cell = np.array([[40.0, 0.0]])
-    few = krige(data, cell, model(), neighbours=12, octants=False, of_line=2)[0]
-    near = np.concatenate(
-        [
-            np.flatnonzero(data.line == k)[
-                np.argsort(np.linalg.norm((data.places_m[data.line == k] - cell) / [50.0, 8.0], axis=1))[:2]
-            ]
-            for k in range(6)
-        ]
-    )
-    again = krige_dense(data.where(np.sort(near)), cell, model())[0]
-    # the same twelve; heights are centred on other means, which changes nothing
-    assert few[0] == pytest.approx(again[0], abs=1e-9)
 
 
 def test_sigma_is_that_of_the_bed_two_sided() -> None:
@@ -231,32 +172,6 @@ def test_sigma_is_that_of_the_bed_two_sided() -> None:
 
 def vars_of(of: CovarianceModel) -> dict:
     return {name: getattr(of, name) for name in of.__dataclass_fields__}
-
-
-def test_a_cell_costs_no_more_than_a_spline_without_sigma() -> None:
-    """20,000 soundings, 8,000 cells: processor time beside SciPy's splines of as many neighbours."""
-    rng = np.random.default_rng(2)
-    places, line = zigzag(20_000, rng, legs=100)
-    data = Observations(
-        s_m=places[:, 0],
-        n_m=places[:, 1],
-        height_m=np.sin(places[:, 0] / 40) + 0.02 * rng.standard_normal(20_000),
-        sigma_white_m=np.full(20_000, 0.02),
-        sigma_slow_m=np.full(20_000, 0.01),
-        t_s=np.arange(20_000) * 0.1,
-        line=line,
-    )
-    cells = np.column_stack([rng.uniform(0, 1500, 8000), rng.uniform(-15, 15, 8000)])
-    of = model("exponential", range_s_m=60.0, range_n_m=12.0, slow_time_s=10.0)
-    krige(data, cells[:1500], of, octants=False)  # compiled
-    start = process_time()
-    krige(data, cells, of, octants=False)
-    ours = process_time() - start
-    spline = RBFInterpolator(of.scaled(places), data.height_m, neighbors=48, kernel="linear")
-    start = process_time()
-    spline(of.scaled(cells))
-    # about the same in truth; shared machines are restless
-    assert ours < 2.0 * (process_time() - start)
 
 
 def test_bad_observations_are_named() -> None:

@@ -86,27 +86,6 @@ def test_correlations_are_those_of_the_models() -> None:
     assert of["spherical"](h) == pytest.approx([1, 0.3125, 0, 0], abs=1e-12)
 
 
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("time_s", [0.0, 10.0])
-def test_the_kernel_equals_one_system_of_a_dozen_soundings(kind: str, time_s: float) -> None:
-    rng = np.random.default_rng(3)
-    places = rng.uniform(0, 20, (12, 2)).tolist()
-    slow = rng.uniform(0.01, 0.05, 12)
-    data = observed(
-        places,
-        rng.normal(-3, 1, 12).tolist(),
-        sigma_slow_m=slow,
-        sigma_white_m=rng.uniform(0.01, 0.05, 12),
-        t_s=rng.uniform(0, 30, 12),
-    )
-    cells = rng.uniform(0, 20, (5, 2))
-    of = CovarianceModel(**MODEL | {"kind": kind}, slow_time_s=time_s, micro_m2=1e-3)
-    for found, expected in zip(
-        krige(data, cells, of, octants=False), krige_dense(data, cells, of), strict=True
-    ):
-        assert found == pytest.approx(expected, abs=1e-9)
-
-
 def test_an_octant_gives_its_nearest_soundings_alone() -> None:
     """Three soundings upstream in one octant, one downstream; eight neighbours are one an octant."""
     data = observed([[1.0, 0.1], [2.0, 0.2], [3.0, 0.3], [-9.0, 0.4]], [-1.0, -2.0, -3.0, -4.0])

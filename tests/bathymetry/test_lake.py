@@ -11,6 +11,7 @@ import shapely
 import shapely.affinity
 from pyproj import CRS
 
+from tests.bands import band
 from tests.conftest import check_whole
 from thalweg.bathymetry import (
     BedModel,
@@ -135,7 +136,7 @@ def test_a_lake_has_its_bays_and_no_bed_on_its_island(lake: tuple[Water, BedOfTa
     assert found.bed.facts["area_m2"] == pytest.approx(WATER.area, rel=0.02)
     assert np.std(error) < 0.25
     # One observation: the mean of three days is one draw. Sigmas of the rest are twice the errors here,
-    # between the tracks (0.62) they are 1.3 of them. No study asks it of many lakes.
+    # between the tracks (0.62) they are 1.3 of them. The guard is `bed_study`, of 40 rivers.
     assert abs(np.mean(error)) < 2 * np.sqrt(np.mean(sigma**2))
     assert 0.5 < np.sqrt(np.nanmean(found.bed.sigma_m**2)) / np.std(error) < 2.5
     assert 0.4 < found.validation["normalised_square"] < 2.0
@@ -501,7 +502,7 @@ def test_runs_are_pieces_between_pauses_or_names_of_a_column(tmp_path: Path) -> 
 
 @pytest.mark.parametrize("scatter_m", [0.0, 0.15])
 def test_steps_of_runs_are_adjusted_and_nothing_else_is(scatter_m: float) -> None:
-    """Runs of three lines; steps drawn anew, or none; two-sided."""
+    """Six runs of three lines; steps drawn anew, or none; of each draw the mean is not told."""
     rng = np.random.default_rng(5521)
     along, across = tracks(12.0, along_east=True), tracks(24.0, along_east=False)
     places = along + across
@@ -509,7 +510,7 @@ def test_steps_of_runs_are_adjusted_and_nothing_else_is(scatter_m: float) -> Non
     number = np.repeat(np.arange(len(places)), [len(p) for p in places])
     xy, run = np.concatenate(places), run_of[number]
     normalised = []
-    for _ in range(3):
+    for _ in range(12 if scatter_m else 1):
         step = rng.normal(0.0, scatter_m, run_of.max() + 1)
         height = -depth_of(xy) + step[run] + 0.03 * rng.standard_normal(len(xy))
         found = agreement(xy, height, np.full(len(xy), 0.03), number, run)
@@ -518,10 +519,11 @@ def test_steps_of_runs_are_adjusted_and_nothing_else_is(scatter_m: float) -> Non
             continue
         error = found.shift_m - step
         assert found.sigma_run_m == pytest.approx(np.std(step, ddof=1), rel=0.5)
-        normalised.append(np.mean(((error - error.mean()) / found.sigma_m) ** 2))
+        normalised.append(np.sum(((error - error.mean()) / found.sigma_m) ** 2) / (len(step) - 1))
         assert np.std(error) < 0.3 * scatter_m
     if normalised:
-        assert 0.15 < np.mean(normalised) < 2.0
+        low, high = band(5 * len(normalised))
+        assert low < np.mean(normalised) < high
 
 
 def test_an_outline_is_the_map_in_flow_coordinates_too(tmp_path: Path) -> None:

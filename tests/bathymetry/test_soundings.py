@@ -143,32 +143,6 @@ def test_place_level_and_depth() -> None:
     assert (first["level_m"], first["depth_m"]) == pytest.approx((0.0, 2.1), abs=1e-9)
 
 
-def test_three_parts_of_the_error_against_differences() -> None:
-    """White, slow and common sigmas equal those of heights computed with errors put in, one by one."""
-    echo = EchoSounder(beam_deg=0.0, sigma_depth_m=0.02, sigma_sound_speed=0.01, sigma_tilt_deg=0.0)
-    table, _ = located(np.full(200, 2.0), echo=echo)
-    row = table.iloc[50]
-    own = 0.03
-    attitude = np.deg2rad(0.1)
-    assert row["sigma_white_m"] == pytest.approx(np.sqrt(0.02**2 + 0.25 * own**2), rel=1e-3)
-    # pitch lifts a transducer half a metre ahead
-    assert row["sigma_slow_m"] == pytest.approx(np.sqrt(0.75 * own**2 + (0.5 * attitude) ** 2), rel=1e-3)
-    assert row["sigma_common_m"] == pytest.approx(np.hypot(2.0 * 0.01, 0.005), rel=1e-3)
-    late = replace(TRANSDUCER, sigma_lag_s=0.1)
-    moved, _ = located(np.full(200, 2.0), transducer=late, echo=echo)
-    grown = moved["cov_ee_m2"].iloc[50] - table["cov_ee_m2"].iloc[50]
-    assert grown == pytest.approx(0.1**2, rel=1e-6)  # 0.1 s at 1 m/s
-
-
-def test_an_uncertain_time_counts_along_the_track() -> None:
-    """3 m/s to the east: 0.1 s are 0.3 m there, and nothing across or up."""
-    path = straight(speed_mps=3.0)
-    sure, unsure = (located(np.full(100, 2.0), path, sigma_time_s=s)[0] for s in (0.0, 0.1))
-    for name, more_m in (("ee", 0.3), ("nn", 0.0), ("uu", 0.0)):
-        more = np.sqrt(unsure[f"cov_{name}_m2"] - sure[f"cov_{name}_m2"])
-        np.testing.assert_allclose(more, more_m, atol=1e-6)
-
-
 def test_sound_speed_scales_depths_and_its_sigma_counts() -> None:
     echo = EchoSounder(
         set_sound_speed_mps=1500.0, water_temperature_c=10.0, sigma_temperature_c=2.0, sigma_sound_speed=0.0
@@ -313,15 +287,6 @@ def test_a_ping_without_bottom_has_no_slope() -> None:
     assert again["reason"][50] == "no bottom"
     assert again["up_m"][50] == again["transducer_up_m"][50]
     assert np.isfinite(again["up_m"]).all()
-
-
-def test_orders_of_s44() -> None:
-    table, _ = located(np.full(100, 2.0))
-    shares = s44_orders(table).set_index("order")["share"]
-    assert shares["exclusive"] == 1.0
-    wide = table.assign(sigma_common_m=0.1)  # 95 %: 0.2 m, between exclusive (0.15) and special (0.25)
-    shares = s44_orders(wide).set_index("order")["share"]
-    assert (shares["exclusive"], shares["special"]) == (0.0, 1.0)
 
 
 @pytest.mark.parametrize(

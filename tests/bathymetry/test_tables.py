@@ -26,10 +26,16 @@ EAST, NORTH = 500_000.0, 5_400_000.0
 HALF_M = 10.0
 
 
+FEW_STEPS = 40
+"""Of the search for a model, which takes most of the time; the first test and real rivers search on."""
+
+
 @pytest.fixture(autouse=True)
-def no_picture(monkeypatch: pytest.MonkeyPatch) -> None:
+def no_picture(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> None:
     """A picture takes as long as the bed: it is drawn where it is looked at."""
     monkeypatch.setattr("thalweg.figures.save", lambda *_: None)
+    if request.node.get_closest_marker("real") is None:
+        monkeypatch.setattr("thalweg.bathymetry.variogram._STEPS", FEW_STEPS)
 
 
 def meander() -> FlowLine:
@@ -118,7 +124,9 @@ def made(river: Path, out: Path, *words: str, table: str = "soundings.csv") -> d
 def of_heights(river: Path, tmp_path_factory: pytest.TempPathFactory) -> dict:
     """The bed of heights between banks with sides."""
     words = ["--height", "h", "--line", "leg", "--banks", str(river / "sides.geojson")]
-    return made(river, tmp_path_factory.mktemp("heights"), *words)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("thalweg.bathymetry.variogram._STEPS", FEW_STEPS)
+        return made(river, tmp_path_factory.mktemp("heights"), *words)
 
 
 def test_the_bed_between_two_bank_lines(river: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

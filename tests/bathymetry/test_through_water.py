@@ -39,12 +39,6 @@ def test_two_cameras_give_the_depth_that_least_time_gives(depth_m: float) -> Non
     assert (row.n_cameras, row.state) == (2, "corrected")
 
 
-def test_seen_from_above_the_factor_is_the_index() -> None:
-    row = correct_refraction([[1.0, 2.0, -1.0]], 0.0, [[1.0, 2.0, 30.0]], index=1.333).iloc[0]
-    assert row.factor == pytest.approx(1.333)
-    assert row.height_m == pytest.approx(-1.333)
-
-
 def test_sigmas_are_those_of_many_draws() -> None:
     """Errors of point, level and index are drawn; one camera, so that the factor has no scatter."""
     rng = np.random.default_rng(5)
@@ -151,19 +145,3 @@ def test_two_cameras_by_hand() -> None:
     dry = correct_refraction([[0.0, 0.0, 0.5]], 0.0, cameras, **sigmas).iloc[0]
     assert (dry.height_m, dry.sigma_height_m) == pytest.approx((0.5, 0.05))
     assert np.isnan([dry.depth_m, dry.apparent_depth_m]).all()
-
-
-def test_columns_of_a_table_by_name(tmp_path: Path) -> None:
-    path = tmp_path / "points.csv"
-    path.write_text("Easting, north,z, level,sfm\n1,2,3,4,5\n6,7,8,,9\n")
-    points, water = read_columns(path)
-    assert points.tolist() == [[1, 2, 3], [6, 7, 8]]
-    assert np.isnan(water).all()
-    points, water = read_columns(path, height="SFM", water="level")
-    assert points[:, 2].tolist() == [5, 9]
-    np.testing.assert_array_equal(water, [4, np.nan])
-    with pytest.raises(InputError, match="no column depth"):
-        read_columns(path, height="depth")
-    path.write_text("x,y,z\n1,2,3\n4,5,\n")
-    with pytest.raises(InputError, match=r"csv:3: 1 of 2 rows without coordinates"):
-        read_columns(path)

@@ -79,16 +79,6 @@ def test_one_error_of_all_moments_adds_up_and_independent_ones_average() -> None
         assert field.variances()[0] == pytest.approx(expected, rel=1e-12)
 
 
-def test_draws_have_the_covariance_that_is_stated() -> None:
-    rng = np.random.default_rng(2)
-    field = ErrorField((a_group(rng, 30, 7.0),), (rows_of(rng, 4, 30),))
-    draws = np.array([field.draw(rng) for _ in range(4000)])
-    C = field.covariance_with(field)
-    squares = np.einsum("ij,jk,ik->i", draws, np.linalg.inv(C), draws)
-    low, high = chi2.ppf([0.0005, 0.9995], 4 * len(draws))
-    assert low < squares.sum() < high
-
-
 def test_q_values_are_those_of_scipy_and_leave_the_unknown_out() -> None:
     p = np.random.default_rng(4).uniform(size=200) ** 2
     assert benjamini_hochberg(p) == pytest.approx(false_discovery_control(p), rel=1e-12)

@@ -21,13 +21,10 @@ from thalweg.fusion.measures import (
     cut_sections,
     depths_along,
     hydraulic_table,
-    hypsometry,
     long_profile,
     volume_below,
 )
 from thalweg.settings.sections import Fusion
-from thalweg_lab.reach import River as TrueRiver
-from thalweg_lab.settings import TwinConfig
 
 SETTINGS = Fusion(contour_m=0.5)
 ORIGIN = {"lat_deg": FRAME.lat_deg, "lon_deg": FRAME.lon_deg, "h_ell_m": FRAME.h_ell_m}
@@ -143,23 +140,6 @@ def test_a_river_whose_depth_knows_nothing_of_its_width() -> None:
         depths_along(profile_of(depth[:3], width[:3]))
 
 
-def test_the_twin_of_1500_m_is_deeper_where_narrower_and_before_its_weir() -> None:
-    """Mean sections of the river of size `reach`, as P1 Fig. 6 shows the Mulde."""
-    river = TrueRiver(TwinConfig(size="reach").scene, 5)
-    s = np.arange(-760.0, 791.0, 10.0)
-    right, left = river.shores(s)
-    q = np.linspace(0.0, 1.0, 200)
-    n = -right[:, None] + q * (left + right)[:, None]
-    z = river.height(np.repeat(s, 200), n.ravel()).reshape(n.shape)
-    table = pd.DataFrame({"s_m": s, "mean_bed_m": np.trapezoid(z, q, axis=1), "width_m": left + right})
-    table["level_m"] = river.config.water_level_m
-    found = depths_along(table, weir_s_m=river.weir_s_m(), backwater_m=120.0)
-    assert found["deeper_where_narrower"]
-    assert found["deeper_before_weir"]
-    assert found["exponent"] < -0.1
-    assert found["ratio_at_weir"] > 1.3
-
-
 def test_a_volume_and_its_sigma_are_those_of_formula_and_double_sum(model, river):
     from thalweg.fusion.dtm import cells_inside
 
@@ -177,17 +157,6 @@ def test_a_volume_and_its_sigma_are_those_of_formula_and_double_sum(model, river
     double = own * np.exp(-apart / 5.0).sum() + (0.02 * len(places)) ** 2
     assert of_small == pytest.approx(np.sqrt(double) * 0.25**2, rel=1e-6)
     assert sigma > 0.02 * area
-
-
-def test_the_hypsometry_grows(model, river):
-    from thalweg.fusion.dtm import cells_inside
-
-    inside = cells_inside(river.outline_m(), model.corner_m, model.cell_m, model.height_m.shape)
-    table = hypsometry(model, inside, SETTINGS)
-    assert (np.diff(table["volume_m3"]) > 0).all()
-    # the volume is the integral of the area
-    integral = np.trapezoid(table["area_m2"], table["level_m"])
-    assert table["volume_m3"].iloc[-1] == pytest.approx(integral, rel=0.02)
 
 
 def test_ras_import_holds_every_section(sections, river, tmp_path):

@@ -33,7 +33,6 @@ from thalweg.lidar import (
     REMOVED_POINTS,
     SIGMAS,
     LogSettings,
-    Occupancy,
     cloud as cloud_module,
     export_map,
     georeference_log,
@@ -210,50 +209,6 @@ def test_the_size_of_the_pieces_changes_nothing(data_dir: Path, tmp_path: Path) 
     for name, values in small[1].items():
         np.testing.assert_array_equal(values, large[1][name], err_msg=name)
     assert (tmp_path / "10000.laz").read_bytes() == (tmp_path / "1000000.laz").read_bytes()
-
-
-@pytest.mark.real
-def test_windows_make_the_bytes_of_the_whole_log(data_dir: Path, tmp_path: Path) -> None:
-    log = lidar_reader([data_dir / LOG])
-    clock, trajectory = log.scan().clock, still(T0_S, T0_S + 10.0)
-    how = settings(
-        correlations=True,
-        chunk_points=10_000,
-        max_range_m=50.0,
-        filters={"isolated_radius_m": 0.1, "isolated_neighbours": 10},
-    )
-    whole, joined = tmp_path / "whole.laz", tmp_path / "joined.laz"
-    table = georeference_log(log, clock, trajectory, how, whole, out_removed=tmp_path / "whole.parquet")
-    windows = [LogWindow(index=i, count=4, seconds=0.07) for i in range(4)]
-    densities, points, rests = (
-        [tmp_path / f"{name}{w.index}{ending}" for w in windows]
-        for name, ending in (("density", ".npz"), ("points", ".las"), ("rest", ".npz"))
-    )
-    for window, density in zip(windows, densities, strict=True):
-        write_density(log, clock, trajectory, how, window, density)
-    for window, *part in zip(windows, points, rests, strict=True):
-        georeference_window(log, clock, trajectory, how, window, densities, *part)
-
-    def join() -> pd.DataFrame:
-        removed = tmp_path / "joined.parquet"
-        return join_windows(points, rests, trajectory, how, joined, out_removed=removed, log_files=log.files)
-
-    assert join().equals(table)
-    assert min(laz_header(path).n_points for path in points) > 1000
-    assert joined.read_bytes() == whole.read_bytes()
-    assert (tmp_path / "joined.parquet").read_bytes() == (tmp_path / "whole.parquet").read_bytes()
-    # no window knows by itself who is alone: without the others' points more are left out
-    alone = Occupancy(how.filters.isolated_radius_m)
-    keys, counts = alone.blocks()
-    for density in densities[1:]:
-        np.savez(density, keys=keys, counts=counts, box_en_m=np.zeros((2, 2)))
-    georeference_window(log, clock, trajectory, how, windows[0], densities, points[0], rests[0])
-    assert join().set_index("reason")["n"]["isolated"] > table.set_index("reason")["n"]["isolated"]
-    part = bytearray(points[1].read_bytes())
-    part[-30] ^= 1
-    points[1].write_bytes(part)
-    with pytest.raises(InputError, match="not those that its job wrote"):
-        join()
 
 
 @pytest.mark.real

@@ -25,7 +25,6 @@ from thalweg_lab.studies.sensors.colours import (
     START_S,
     Boards,
     board_poses,
-    hidden_points,
     image_names,
 )
 
@@ -79,21 +78,6 @@ def test_points_behind_others_take_no_colour_from_them(folder: Path) -> None:
     blind, _ = coloured(folder, occlusion=False)
     wrong = (blind["rgb"][:, 0] > blind["rgb"][:, 2]) & ~red & (blind["n_views"] > 0)
     assert wrong.sum() / (~red).sum() > 0.05
-
-
-def test_hidden_points_of_some_scenes(tmp_path: Path) -> None:
-    """Points with errors of 1 cm: worst of all, not the mean; `rig_study` has twenty."""
-    found = []
-    for seed in range(2):
-        rng = np.random.default_rng(seed)
-        pair = Boards.draw(rng)
-        noise = 0.01 * rng.standard_normal(pair.points()[0].shape)
-        blind, _ = hidden_points(tmp_path, pair, noise, occlusion=False)
-        found.append((*hidden_points(tmp_path, pair, noise, occlusion=True), blind))
-    wrong, shown, blind = np.transpose(found)
-    assert wrong.max() <= 0.01
-    assert shown.min() >= 0.97
-    assert blind.mean() > 0.05
 
 
 def test_everything_else_of_the_cloud_stays(folder: Path) -> None:

@@ -138,47 +138,6 @@ def test_the_kernel_agrees_with_the_slow_form(rng, trajectory: Trajectory, mount
     np.testing.assert_allclose(found.sigmas_m(), np.sqrt(np.diagonal(slow, axis1=1, axis2=2)), rtol=1e-6)
 
 
-def test_covariance_agrees_with_monte_carlo(rng, trajectory: Trajectory, mount: Rigid) -> None:
-    """Nothing of the first-order formula is used here: rotations are finite, draws go through the chain."""
-    xyz, t, range_m, reflectivity = shots(rng, trajectory, 3)
-    predicted = point_covariance(
-        jacobian(xyz, t, trajectory, mount),
-        trajectory.cov_at(t),
-        mount.cov,
-        BEAM.variances(range_m, reflectivity),
-        0.0,
-    )
-    n = 40_000
-    for i in range(len(t)):
-        along, across = (v[i] for v in BEAM.variances(range_m, reflectivity))
-        draws = np.zeros((n, 16))
-        draws[:, :6] = rng.multivariate_normal(np.zeros(6), trajectory.cov_at(t)[i], n)
-        draws[:, 6:12] = rng.multivariate_normal(np.zeros(6), mount.cov, n)
-        draws[:, 12:15] = rng.normal(size=(n, 3)) * np.sqrt([along, across, across])
-        _, R, _ = trajectory.at(t[[i]])
-        beam = mount.R @ xyz[i].astype(np.float64)
-        unit = beam / np.linalg.norm(beam)
-        first = np.cross(unit, np.eye(3)[np.argmin(np.abs(unit))])
-        first /= np.linalg.norm(first)
-        beams = beam + draws[:, 12:15] @ np.stack([unit, first, np.cross(unit, first)])
-        body = Rotation.from_rotvec(draws[:, 9:12]).apply(beams) + mount.shift_m + draws[:, 6:9]
-        points = Rotation.from_rotvec(draws[:, 3:6]).apply(body @ R[0].T) + draws[:, :3]
-        scale = np.sqrt(np.outer(np.diag(predicted[i]), np.diag(predicted[i])))
-        # a covariance from n samples has a relative standard error of sqrt(2 / n) = 0.7 %; five of them
-        np.testing.assert_allclose(np.cov(points.T) / scale, predicted[i] / scale, atol=0.035)
-
-
-def test_correlations_of_the_inputs_matter(rng, trajectory: Trajectory, mount: Rigid) -> None:
-    xyz, t, range_m, reflectivity = shots(rng, trajectory, 200)
-    options = {"beam": BEAM, "range_m": range_m, "reflectivity": reflectivity}
-    full = georeference_points(xyz, t, trajectory, mount, **options).sigmas_m()
-    diagonal = np.einsum("nii->ni", trajectory.cov_pose_wcs)[:, :, None] * np.eye(6)
-    bare = georeference_points(
-        xyz, t, replace(trajectory, cov_pose_wcs=diagonal), mount, **options
-    ).sigmas_m()
-    assert np.percentile(np.abs(full / bare - 1), 90) > 0.1
-
-
 def test_axes_are_the_derivatives_of_the_rotation() -> None:
     angles = np.array([0.1, -0.2, 2.1])
     axes = attitude_axes(rotation_enu_body(*angles)[None])[0]
@@ -233,47 +192,12 @@ def test_published_totals_of_the_thesis() -> None:
         assert abs(np.sqrt(np.trace(cov)) / total_m - 1) < 0.08, range_m
 
 
-def test_an_inclined_surface_sees_the_footprint(rng) -> None:
-    """An echo ``d`` off across the beam lies ``d sin(i)`` off the surface: ``n^T C n`` and draws agree."""
-    range_m, incidence = 30.0, np.deg2rad(60)
-    beam = LidarAccuracy(sigma_component_m=0.01, divergence_mrad=3.0, footprint_share=0.25, sigma_weak_m=0.0)
-    along, across = (v[0] for v in beam.variances(np.array([range_m]), np.array([50.0])))
-    d, n = np.array([1.0, 0, 0]), np.array([-np.cos(incidence), np.sin(incidence), 0])
-    C = across * np.eye(3) + (along - across) * np.outer(d, d)
-    draws = (
-        rng.normal(size=200_000) * 0.25 * 0.003 * range_m
-    )  # across the beam, within the plane of incidence
-    # the beam shifted by s meets the plane s tan(i) farther or nearer; the sensor puts it on the nominal beam
-    observed = (rng.normal(size=draws.size) * 0.01 - draws * np.tan(incidence)) * np.cos(incidence)
-    blur = rng.normal(size=draws.size) * 0.01 * np.sin(incidence)
-    # 0.16 % from the sample size; three of them
-    assert np.std(observed + blur) == pytest.approx(np.sqrt(n @ C @ n), rel=0.005)
-
-
-def test_weak_echoes_are_worth_less() -> None:
-    along, across = BEAM.variances(np.array([10.0, 100.0, 100.0]), np.array([50.0, 10.0, 20.0]))
-    assert np.sqrt(along[1] - 0.0173**2) == pytest.approx(0.03)
-    assert np.sqrt(along[2] - 0.0173**2) == pytest.approx(0.015)
-    assert np.sqrt(along[0]) == pytest.approx(0.0173, rel=1e-4)
-    assert np.sqrt(across[1] - 0.0173**2) == pytest.approx(0.177 * 0.3)
-
-
 def test_covariances_need_ranges_and_reflectivities(trajectory: Trajectory, mount: Rigid) -> None:
     t = trajectory.t_gps_s[[10, 11]]
     with pytest.raises(GeometryError, match="one range and one reflectivity for each point"):
         georeference_points(np.ones((2, 3)), t, trajectory, mount, beam=BEAM)
     with pytest.raises(GeometryError, match="points without covariances"):
         georeference_points(np.ones((2, 3)), t, trajectory, mount).sigmas_m()
-
-
-def test_no_pose_no_covariance(trajectory: Trajectory, mount: Rigid) -> None:
-    t = np.array([trajectory.t_gps_s[0] - 1.0, trajectory.t_gps_s[5], np.nan])
-    found = georeference_points(
-        np.ones((3, 3)), t, trajectory, mount, beam=BEAM, range_m=np.ones(3), reflectivity=np.ones(3)
-    )
-    assert found.has_pose.tolist() == [False, True, False]
-    assert np.isnan(found.cov_m2[[0, 2]]).all()
-    assert np.isfinite(found.cov_m2[1]).all()
 
 
 @pytest.mark.parametrize(
@@ -363,15 +287,6 @@ def test_factors_widen_range_and_directions_and_the_place_in_the_footprint() -> 
     wide = beam.scaled(component=2.0, footprint=1.5)
     assert (wide.sigma_component_m, wide.sigma_weak_m) == pytest.approx((0.02, 0.06))
     assert (wide.footprint_share, wide.divergence_rad) == pytest.approx((0.375, 0.003))
-
-
-def test_stamps_are_exact_if_no_sigma_is_stated() -> None:
-    """A boat at 1 m/s and no other error: the covariance is that of the stamps alone."""
-    level, nothing = np.eye(3)[None], np.zeros((1, 3))
-    J = point_jacobian(np.ones((1, 3)), level, level[0], np.zeros(3), np.array([[1.0, 0.0, 0.0]]), nothing)
-    none = np.zeros((1, 6, 6)), np.zeros((6, 6)), (np.zeros(1), np.zeros(1))
-    np.testing.assert_array_equal(point_covariance(J, *none), np.zeros((1, 3, 3)))
-    np.testing.assert_allclose(point_covariance(J, *none, 0.01)[0], np.diag([1e-4, 0.0, 0.0]), atol=1e-18)
 
 
 def test_beside_an_invalid_node_there_is_no_covariance(trajectory: Trajectory, mount: Rigid) -> None:

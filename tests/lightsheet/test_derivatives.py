@@ -111,35 +111,6 @@ def test_light_that_reaches_a_point_beside_the_sheet(case) -> None:
         assert light.inside.all()
 
 
-def test_sheet_bends_as_the_papers_draw_it() -> None:
-    """P4 Fig. 1 and 2: straight if it is not tilted, a curve with one tilt, an S with two.
-
-    The sagittas of both halves of a line on a plane from the chord through its ends and its middle: zero,
-    equal, and unequal.
-    """
-
-    def sagittas(omega: float, kappa_first: float) -> np.ndarray:
-        sensor = paper_4()
-        sheet = replace(
-            sensor.sheet,
-            origin_lcs_mm=np.array([0.0, 0.0, 50.0]),
-            angles_rad=np.deg2rad([omega, kappa_first, 0.0]),
-        )
-        one = sensor.with_sheet(sheet)
-        xy = sheet_in_water(one, [100.0], np.linspace(-0.7, 0.7, 201))[0][:, :2]
-        along = xy[-1] - xy[0]
-        along /= np.linalg.norm(along)
-        off = (xy - xy[0]) @ [-along[1], along[0]]
-        return np.array([off[50], off[100], off[150]])
-
-    assert np.abs(sagittas(0.0, 0.0)).max() < 1e-12
-    one = sagittas(45.0, 0.0)
-    assert one[0] == pytest.approx(one[2], abs=1e-9)
-    assert abs(one[1]) > 3.0  # millimetres over a line of some 170 mm
-    two = sagittas(45.0, 30.0)
-    assert abs(two[0] - two[2]) > 1.0
-
-
 def test_fan_angles_span_the_fan() -> None:
     angles = fan_angles(paper_4(), 7)
     assert np.allclose(np.rad2deg(angles), [-45, -30, -15, 0, 15, 30, 45])

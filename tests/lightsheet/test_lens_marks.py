@@ -2,22 +2,19 @@
 
 import json
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pandas as pd
 import pytest
 
 from tests.lightsheet.basin import FRAME, Basin, Jobs, run
-from thalweg.calibration import MARKS, MarkerLayout, read_camera, sheet_picture
+from thalweg.calibration import MARKS, read_camera
 from thalweg.core import GeometryError, InputError, frame_of, write_table
-from thalweg.core.calibration import Source, read_calibration
+from thalweg.core.calibration import read_calibration
 from thalweg.lightsheet.calibration import NAME, read_lens_marks
-from thalweg.lightsheet.optics import LENS, paper_4, read_sensor, write_sensor
+from thalweg.lightsheet.optics import LENS, read_sensor
 from thalweg.lightsheet.optics.sensor import LENS_BLOCK
-from thalweg_lab.tank.camera_field import MODULE_M, build_marker_field, field_text, stations
 
 SIZE = (512, 512)
 
@@ -152,78 +149,3 @@ def test_a_message_names_the_table(basin: Basin, tmp_path: Path) -> None:
             campaign={"id": "x", "origin": origin},
             twin=True,
         )
-
-
-# ---------------------------------------------------------------- photographs
-
-
-def photographs(folder: Path) -> Path:
-    """Grey pictures of a small field, each sheet a plane in the picture of a camera without distortion."""
-    camera = paper_4().camera.scaled((1024, 1024))
-    field = build_marker_field(3, sheets_a_side=4)
-    layout = MarkerLayout(module_m=MODULE_M)
-    folder.mkdir()
-    for name, pose in stations(field, 3, 7).items():
-        picture = np.full((1024, 1024), 90, np.uint8)
-        # from low to high: what lies higher covers what is behind
-        for sheet in sorted(field.sheets, key=lambda s: float(s.centre_wcs_m()[2])):
-            corners = np.array([[-0.5, -0.5], [10.5, -0.5], [10.5, 10.5], [-0.5, 10.5]])
-            there = camera.project(pose.inverse().apply(sheet.to_wcs(corners))) - 0.5
-            paper = sheet_picture(sheet.marker, layout, 20)
-            from_px = np.array([[0, 0], [220, 0], [220, 220], [0, 220]], np.float32) - 0.5
-            # only where the sheet is
-            (x0, y0), (x1, y1) = (
-                np.floor(there.min(axis=0)).astype(int),
-                np.ceil(there.max(axis=0)).astype(int),
-            )
-            part = picture[max(y0, 0) : max(y1 + 2, 0), max(x0, 0) : max(x1 + 2, 0)]
-            if not part.size:
-                continue
-            there = (there - [max(x0, 0), max(y0, 0)]).astype(np.float32)
-            part[:] = cv2.warpPerspective(
-                paper,
-                cv2.getPerspectiveTransform(from_px, there),
-                part.shape[::-1],
-                part.copy(),
-                cv2.INTER_LINEAR,
-                borderMode=cv2.BORDER_TRANSPARENT,
-            )
-        cv2.imwrite(str(folder / name), cv2.GaussianBlur(picture, (0, 0), 0.7))
-    (folder / "field.yaml").write_text(field_text(field, 3))
-    return folder
-
-
-def test_photographs_lead_to_the_same_camera(tmp_path: Path) -> None:
-    """The marker detection of the calibration field, its table, and the job."""
-    folder = photographs(tmp_path / "pictures")
-    marks = tmp_path / "marks.parquet"
-    run(
-        "detect_markers",
-        tmp_path,
-        folders=[folder],
-        field=folder / "field.yaml",
-        marks=marks,
-        camera="sheet_camera",
-        threads=1,
-    )
-    design = tmp_path / "design.yaml"
-    nominal = paper_4()
-    nominal = replace(nominal, camera=nominal.camera.scaled((1024, 1024)))
-    write_sensor(design, nominal, source=Source(run="test", method="drawing", twin=True))
-    origin = {"lat_deg": FRAME.lat_deg, "lon_deg": FRAME.lon_deg, "h_ell_m": FRAME.h_ell_m}
-    run(
-        "calibrate_sheet_camera",
-        tmp_path,
-        design=design,
-        marks=marks,
-        field=folder / "field.yaml",
-        camera=tmp_path / "camera.yaml",
-        campaign={"id": "x", "origin": origin},
-        twin=False,
-    )
-    found = read_camera(tmp_path / "camera.yaml")
-    off = (found.parameters - nominal.camera.parameters)[:4]
-    sigma = np.sqrt(np.diag(found.cov))[:4]
-    assert np.abs(off).max() < 0.5, off
-    # Gaussian, four of them: one beyond 4.5 in 40,000 fields; the warp of a sheet is good to 0.05 px
-    assert (np.abs(off) < 4.5 * sigma + 0.05).all(), off / sigma

@@ -2,7 +2,6 @@
 
 import json
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,22 +9,11 @@ import cv2
 import numpy as np
 import pandas as pd
 import pytest
-import yaml
 
 from tests.lightsheet.basin import Basin, Jobs, recorded
-from thalweg.core import ConfigError, GeometryError, InputError, ThalwegError, write_table
-from thalweg.core.calibration import Source
-from thalweg.lightsheet.optics import (
-    PARAMETERS,
-    Sensor,
-    intersect,
-    project,
-    read_sensor,
-    sheet_in_water,
-    write_sensor,
-)
+from thalweg.core import GeometryError, InputError, ThalwegError
+from thalweg.lightsheet.optics import PARAMETERS, read_sensor
 from thalweg.lightsheet.optics.refractive_index import N_WATER
-from thalweg.lightsheet.poses import SERIES_POINTS
 from thalweg.settings.sections import LightSheet, SheetCalibration, SheetWater
 
 
@@ -46,12 +34,6 @@ def told(run: Callable[[], object], kind: type[ThalwegError] = ThalwegError) -> 
     assert error.expected
     assert error.cure
     return str(error)
-
-
-def other_sensor(path: Path, into: Path, change: Callable[[Sensor], Sensor]) -> Path:
-    changed = change(read_sensor(path))
-    write_sensor(into, changed, source=Source(run="test", method="changed", twin=True))
-    return into
 
 
 def grid_images(basin: Basin, folder: Path, change: Callable[[Any], Any]) -> list[Path]:
@@ -136,98 +118,6 @@ def test_three_levels(tmp_path: Path) -> None:
     assert "light_sheet.calibration.levels: 3" in text
 
 
-# ---------------------------------------------------------------- section 9: wrong media
-
-
-def test_the_index_of_air_in_the_design(basin: Basin, jobs: Jobs) -> None:
-    design = other_sensor(basin.folder / "sensor.yaml", jobs.out / "dry.yaml", lambda s: s.with_water(1.0))
-    jobs.orient(basin, design=design)
-    text = told(lambda: jobs.calibrate(basin), GeometryError)
-    assert "whether the housing was dry" in text
-
-
-def test_a_dry_housing(basin: Basin, jobs: Jobs) -> None:
-    """The picture was taken in air, the design says water: the line of the dry sensor, projected."""
-    camera = jobs.orient(basin)
-    dry = basin.truth.with_water(1.0)
-    points = pd.read_parquet(jobs.out / "calibration.parquet")
-    wet = _moved_to(points, basin.truth, dry)
-    wet.to_parquet(jobs.out / "moved.parquet")
-    assert camera.window.n_water > 1.3
-    text = told(lambda: jobs.calibrate(basin, line_points=_as_table(wet, jobs.out)), GeometryError)
-    assert "whether the housing was dry" in text
-
-
-def _moved_to(points: pd.DataFrame, seen_by: Sensor, other: Sensor) -> pd.DataFrame:
-    """Where another sensor's camera would see the same sub-beams on the same levels."""
-
-    found = intersect(seen_by, points[["x_px", "y_px"]].to_numpy())
-    level = np.where(found.depth_mm < 105.0, 60.0, 150.0)
-    places = np.full((len(points), 3), np.nan)
-    for depth in (60.0, 150.0):
-        mine = (level == depth) & found.ok
-        places[mine] = sheet_in_water(other, np.array([depth]), found.fan_angle_rad[mine])[0]
-    xy = project(other, places)
-    seen = np.isfinite(xy).all(axis=1) & other.camera.inside(np.nan_to_num(xy, nan=-1.0))
-    return points.assign(x_px=xy[:, 0], y_px=xy[:, 1])[seen].reset_index(drop=True)
-
-
-def _as_table(points: pd.DataFrame, folder: Path) -> Path:
-
-    write_table(folder / "moved.parquet", points, SERIES_POINTS)
-    return folder / "moved.parquet"
-
-
-# ---------------------------------------------------------------- section 9: the object
-
-
-def rewritten(basin: Basin, path: Path, change: Callable[[dict[str, Any]], None]) -> Path:
-    data = yaml.safe_load((basin.folder / "calibration" / "grid_1.yaml").read_text())
-    change(data)
-    path.write_text(yaml.safe_dump(data))
-    return path
-
-
-def test_swapped_depths_and_swapped_patterns(basin: Basin, jobs: Jobs) -> None:
-    def depths(data: dict[str, Any]) -> None:
-        one, two = data["levels"]
-        one["depth_mm"], two["depth_mm"] = two["depth_mm"], one["depth_mm"]
-
-    grid = rewritten(basin, jobs.out / "grid.yaml", depths)
-    assert "the levels are swapped" in told(lambda: jobs.calibrate(basin, grid=grid), GeometryError)
-    grid = rewritten(basin, jobs.out / "grid.yaml", lambda data: data["levels"].reverse())
-    assert "the levels are swapped" in told(lambda: jobs.calibrate(basin, grid=grid), GeometryError)
-
-
-def test_wrong_depths(basin: Basin, jobs: Jobs) -> None:
-    def change(data: dict[str, Any]) -> None:
-        data["levels"][1]["depth_mm"] = 190.0
-
-    grid = rewritten(basin, jobs.out / "grid.yaml", change)
-    text = told(lambda: jobs.calibrate(basin, grid=grid), GeometryError)
-    assert "depths" in text
-
-
-def test_a_level_or_the_gaps_are_missing(basin: Basin, jobs: Jobs) -> None:
-    grid = rewritten(basin, jobs.out / "grid.yaml", lambda data: data["levels"].pop())
-    assert "1 level (grid 1)" in told(lambda: jobs.calibrate(basin, grid=grid), GeometryError)
-
-    points = pd.read_parquet(jobs.out / "calibration.parquet")
-    camera = basin.truth
-
-    upper = intersect(camera, points[["x_px", "y_px"]].to_numpy()).depth_mm < 105.0
-    line = _as_table(points[upper].reset_index(drop=True), jobs.out)
-    text = told(lambda: jobs.calibrate(basin, line_points=line), GeometryError)
-    assert "seen on 1 of 2 levels" in text
-    assert "gaps" in text
-
-
-def test_a_description_with_mistakes(basin: Basin, jobs: Jobs) -> None:
-    grid = rewritten(basin, jobs.out / "grid.yaml", lambda data: data["levels"][0].pop("depth_mm"))
-    with pytest.raises(ConfigError, match="depth_mm is missing"):
-        jobs.calibrate(basin, grid=grid)
-
-
 # ---------------------------------------------------------------- section 9: images
 
 
@@ -266,15 +156,6 @@ def test_two_pictures_of_the_grid(basin: Basin, jobs: Jobs) -> None:
 # ---------------------------------------------------------------- section 9: panels, camera
 
 
-def test_panels_under_other_names(basin: Basin, jobs: Jobs) -> None:
-    table = pd.read_csv(basin.folder / "panels" / "images.csv")
-    path = jobs.out / "other.csv"
-    table.assign(file=table["file"].str.replace("sheet", "img")).to_csv(path, index=False)
-    text = told(lambda: jobs.measure(basin, panels=path), InputError)
-    assert "4 images without a depth" in text
-    assert table["file"][0] in text
-
-
 def test_an_over_exposed_panel_is_a_row_with_its_reason(basin: Basin, jobs: Jobs) -> None:
     folder = jobs.out / "panels_images"
     folder.mkdir()
@@ -289,15 +170,6 @@ def test_an_over_exposed_panel_is_a_row_with_its_reason(basin: Basin, jobs: Jobs
     assert (table["n"].drop(1) > 300).all()
 
 
-def test_a_camera_that_is_not_where_the_design_says(basin: Basin, jobs: Jobs) -> None:
-    def turned(sensor: Sensor) -> Sensor:
-        return replace(sensor, camera_angles_rad=sensor.camera_angles_rad + np.array([0.5, 0.0, 0.0]))
-
-    design = other_sensor(basin.folder / "sensor.yaml", jobs.out / "other.yaml", turned)
-    # half a radian is 28.6 degrees; the true camera is off by 0.3
-    assert "is turned by 2" in told(lambda: jobs.orient(basin, design=design), GeometryError)
-
-
 def test_marks_in_millimetres(basin: Basin, jobs: Jobs) -> None:
     path = jobs.out / "points.csv"
     table = pd.read_csv(basin.folder / "mark_points.csv")
@@ -306,21 +178,6 @@ def test_marks_in_millimetres(basin: Basin, jobs: Jobs) -> None:
     table.to_csv(path, index=False)
     text = told(lambda: jobs.orient(basin, points=path), GeometryError)
     assert "metres" in text
-
-
-def test_markers_of_the_window_under_other_names(basin: Basin, jobs: Jobs) -> None:
-    settings = LightSheet(calibration=SheetCalibration(window_markers=(901, 902)))
-    text = told(lambda: Jobs(jobs.out, settings).orient(basin), GeometryError)
-    assert "0 marks on the window" in text
-    assert "Name the markers of the window" in text
-
-
-def test_tables_of_the_camera_that_are_wrong(basin: Basin, jobs: Jobs) -> None:
-    table = pd.read_csv(basin.folder / "camera_marks.csv")
-    path = jobs.out / "marks.csv"
-    table.drop(columns="sigma_px").to_csv(path, index=False)
-    with pytest.raises(InputError, match="columns missing: sigma_px"):
-        jobs.orient(basin, marks=path)
 
 
 @pytest.mark.parametrize(("x", "y"), [(True, False), (False, True), (True, True)])

@@ -38,8 +38,3 @@ def test_the_chord_differs_from_slerp_by_the_stated_bound(angle_deg: float) -> N
     assert difference < angle**3 / 124
     # the next term is a^2 of the first: 1 % at 30 degrees; float32 rounding of the point cancels
     assert difference == pytest.approx(np.sqrt(3) * angle**3 / 432, rel=0.02)
-
-
-def test_at_the_rates_of_the_boat_it_is_nothing() -> None:
-    """7 degrees/s of turn, 20 degrees/s of roll: at 50 Hz 0.4 degrees between nodes, 0.3 um at 100 m."""
-    assert largest_difference_rad(np.deg2rad(0.4)) < 3e-9

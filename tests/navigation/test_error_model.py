@@ -28,7 +28,6 @@ from thalweg.navigation.ins_gnss import (
     PoseCorrelation,
     PriorErrors,
     beam_factors,
-    typical_sigmas,
 )
 from thalweg.navigation.ins_gnss.trajectory import pose_covariance
 
@@ -106,12 +105,6 @@ def test_presumed_values_change_nothing() -> None:
     stated = poses(HEADINGS, SIGMA_POSITION, SIGMA_ATTITUDE)
     found = ErrorModel.presumed(PRIOR).apply(stated, LEVER)
     np.testing.assert_allclose(found.cov_pose_wcs, stated.cov_pose_wcs, rtol=1e-9, atol=1e-15)
-
-
-def test_stated_sigmas_are_found_again_in_the_covariances() -> None:
-    position, attitude = typical_sigmas(poses(HEADINGS, SIGMA_POSITION, SIGMA_ATTITUDE), LEVER)
-    np.testing.assert_allclose(position, SIGMA_POSITION, rtol=1e-9)
-    np.testing.assert_allclose(attitude, SIGMA_ATTITUDE, rtol=1e-9)
 
 
 def deviating(size: float) -> ErrorModel:

@@ -23,7 +23,6 @@ from thalweg_lab.studies.outage import (
     errors_at,
     fuse,
     make_survey,
-    pose_errors,
 )
 
 SETTINGS = FusionSettings()
@@ -158,16 +157,6 @@ def test_it_is_never_worse_than_the_better_chain(n: int, spec: dict) -> None:
     if spec.get("twin") is MOTORS:
         # motors turn the INS by degrees: what the images say must win
         assert both[1] < 0.1 * ins[1]
-
-
-def test_it_is_better_than_the_images_themselves() -> None:
-    recorded = survey()
-    images = recorded.images
-    centre = images.centre_wcs_m + images.R_wcs_ccs @ recorded.T_ccs_ics.shift_m
-    raw = pose_errors(centre, images.R_wcs_ccs @ recorded.T_ccs_ics.R, recorded.motion, images.t_gps_s)
-    found = rms(whole(), recorded, images.t_gps_s)
-    assert found[0] < np.sqrt(np.mean(np.sum(raw[:, :3] ** 2, axis=1)))
-    assert found[1] < np.sqrt(np.mean(raw[:, 3:] ** 2))
 
 
 def test_poses_of_images_are_moved_to_what_all_sensors_say() -> None:

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from tests.bands import band
 from thalweg.navigation.fusion import Fused, FusionSettings
 from thalweg.navigation.fusion.model import MODEL
 from thalweg_lab.random_numbers import generator
@@ -28,19 +29,20 @@ def with_gap(seed: int, length_s: float) -> tuple[Fused, outage.Recorded, tuple[
     )
 
 
-@pytest.mark.parametrize(("length_s", "most"), [(10.0, 1.9), (60.0, 2.4)])
-def test_normalised_errors_hold_over_the_length_of_the_gap(length_s: float, most: float) -> None:
-    """Middle of the gap, 6 seeds: means of 18 squares lie below 1.9 (99 %), those of few turns below 2.4.
+@pytest.mark.parametrize(("length_s", "variance"), [(10.0, 0.25), (60.0, 1.0)])
+def test_normalised_errors_hold_over_the_length_of_the_gap(length_s: float, variance: float) -> None:
+    """Middle of the gap, 8 seeds of three axes.
 
-    Short gaps may be on the safe side: the walk of the steps, by heave, is more than a straight leg needs.
-    With a walk of that size alone the mean at 60 s is 5 and more.
+    Sigmas of short gaps are twice the errors: the walk of the steps, by heave, is more than a straight leg
+    needs. With a walk of that size alone the mean at 60 s is 5 and more.
     """
     squares = []
-    for seed in range(1, 7):
+    for seed in range(1, 9):
         found, survey, (begin, end) = with_gap(seed, length_s)
         e, C = outage.errors_at(found, survey.motion, np.array([(begin + end) / 2]))
         squares.append(e[0, :3] @ np.linalg.solve(C[0, :3, :3], e[0, :3]) / 3)
-    assert 0.1 < np.mean(squares) < most
+    low, high = variance * band(3 * len(squares))
+    assert low < np.mean(squares) < high
 
 
 def test_only_the_steps_of_the_gap_walk_more() -> None:

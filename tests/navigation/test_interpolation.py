@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 from scipy.integrate import quad
-from scipy.stats import chi2
 
+from tests.bands import band
 from thalweg.core import CoverageError, GeometryError
 from thalweg.navigation.ins_gnss.interpolation import (
     CUBIC,
@@ -91,12 +91,6 @@ def squares(
         variance = np.diagonal(found.cov_m2, axis1=1, axis2=2)
         out.append((found.position_m - x[n : n + 6]) ** 2 / variance)
     return np.concatenate(out)
-
-
-def band(n: int, level: float = 0.999) -> tuple[float, float]:
-    """Two-sided band of the mean of n independent normalised squares."""
-    low, high = chi2.ppf([(1 - level) / 2, (1 + level) / 2], n) / n
-    return float(low), float(high)
 
 
 # ---------------------------------------------------------------- consistent sigmas
@@ -464,21 +458,6 @@ def test_the_shape_of_the_error_is_that_of_the_fourth_bernoulli_polynomial() -> 
     variance = found.sigma_interpolation_m[:, 0] ** 2
     expected = quad(lambda s: 16 * s**2 * (1 - s) ** 2, 0, 1)[0]
     assert np.mean(variance) / variance.max() == pytest.approx(expected, rel=2e-3)
-
-
-def test_times_that_nothing_covers_have_values_of_the_usual_shapes() -> None:
-    nothing = interpolate_positions(
-        np.arange(3.0), np.zeros((3, 3)), constant_cov(3), np.array([0.5, 1.5]), max_gap_s=2.0
-    )
-    assert nothing.covered.tolist() == [False, False]
-    for values, shape in (
-        (nothing.position_m, (2, 3)),
-        (nothing.velocity_mps, (2, 3)),
-        (nothing.cov_m2, (2, 3, 3)),
-        (nothing.sigma_interpolation_m, (2, 3)),
-    ):
-        assert values.shape == shape
-        assert np.isnan(values).all()
 
 
 def test_the_velocity_is_that_of_the_moment_from_the_first_interval_on() -> None:

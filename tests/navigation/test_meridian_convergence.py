@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from pyproj import CRS, Geod, Proj, Transformer
 
-from thalweg.core import LocalFrame, roll_pitch_heading, rotation_enu_body
+from thalweg.core import LocalFrame, rotation_enu_body
 from thalweg.ingest import GNSS_POSITION, INS_STATE
 
 UTM33 = CRS.from_epsg(25833)
@@ -38,18 +38,6 @@ def test_a_true_heading_becomes_a_grid_bearing_by_the_convergence_where_the_boat
     east, north = Transformer.from_crs(4258, UTM33, always_xy=True).transform(lon, lat)
     # 20 m at a height of 105 m look 20 / 6.4e6 * 105 = 0.3 mm shorter on the ellipsoid
     np.testing.assert_allclose(there[:2], [east, north], atol=5e-4)
-
-
-@pytest.mark.parametrize(("lat_deg", "lon_deg"), PLACES)
-def test_the_meridians_of_origin_and_boat_differ_by_what_the_frame_takes_off(
-    lat_deg: float, lon_deg: float
-) -> None:
-    """North at the boat turned against north at the origin: ``(lon - lon0) sin(lat)``, 0.1 deg at 10 km."""
-    R = FRAME.R_wcs_enu(np.array([lat_deg]), np.array([lon_deg])) @ rotation_enu_body(0, 0, np.deg2rad(30.0))
-    _, _, heading = roll_pitch_heading(R)
-    turned = np.deg2rad(lon_deg - FRAME.lon_deg) * np.sin(np.deg2rad((lat_deg + FRAME.lat_deg) / 2))
-    # second order: the tilts of the vertical, 1.6e-3 rad at 10 km, squared
-    assert float(heading[0]) - np.deg2rad(30.0) == pytest.approx(-turned, abs=3e-6)
 
 
 @pytest.mark.parametrize(("lat_deg", "lon_deg"), PLACES)

@@ -7,7 +7,6 @@ from pyproj import CRS
 from thalweg.core import InputError, LocalFrame
 from thalweg.settings.sections import Area as AreaSection
 from thalweg.surface import Area
-from thalweg.surface.area import checked_polygon
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
 UTM = "EPSG:25833"
@@ -109,12 +108,6 @@ def test_what_is_no_polygon_is_refused(polygon: list[list[float]], words: list[s
         Area(polygon_en_m=np.array(polygon, dtype=np.float64))
     for word in ("accuracy.area.polygon", *words):
         assert word in str(refused.value)
-
-
-def test_a_crossing_at_map_coordinates_is_found() -> None:
-    bow = np.array([[0.0, 0], [4, 4], [4, 0], [0, 4]]) + np.array([377_000.0, 5_657_000.0])
-    with pytest.raises(InputError, match="cross"):
-        checked_polygon(bow)
 
 
 def test_local_corners_called_map_are_refused_with_the_cure() -> None:

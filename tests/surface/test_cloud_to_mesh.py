@@ -6,7 +6,7 @@ import pytest
 
 from tests.surface import rough_bank
 from thalweg.core import GeometryError
-from thalweg.core.geometry import RayCaster, TriangleMesh, _open3d
+from thalweg.core.geometry import TriangleMesh
 from thalweg.surface import Distances, Surface, cloud_to_mesh
 from thalweg.surface.cloud_to_mesh import LEAF
 
@@ -204,36 +204,6 @@ def test_a_corner_weighs_its_normals_by_their_angles() -> None:
     assert (sign_by_equal_weights < 0).mean() > 0.1
 
 
-def open_gutter():
-    """Half a pipe, open to the sky, front inside: 60 faces."""
-    angle = np.radians(np.linspace(180, 360, 31))
-    ring = np.column_stack([np.zeros(31), np.cos(angle), np.sin(angle)])
-    vertices = np.vstack([ring, ring + np.array([10.0, 0, 0])])
-    k = np.arange(30)
-    faces = np.vstack([np.column_stack([k, k + 31, k + 1]), np.column_stack([k + 1, k + 31, k + 32])])
-    return mesh_of(vertices, faces)
-
-
-def test_counting_crossings_is_wrong_on_an_open_mesh_and_this_is_not() -> None:
-    """Open3D's signed distance counts crossings of a ray that leaves an open mesh or not, by chance."""
-    mesh = open_gutter()
-    rng = np.random.default_rng(5)
-    turn, radius = np.radians(rng.uniform(190, 350, 2000)), rng.uniform(0.7, 1.3, 2000)
-    points = np.column_stack([rng.uniform(0.5, 9.5, 2000), radius * np.cos(turn), radius * np.sin(turn)])
-    clear = np.abs(radius - 1) > 0.01  # the pipe has 6 degrees a face: 1.4 mm from a circle
-    inside = np.where(radius < 1, 1, -1)
-    found = Surface(mesh).distances(points)
-    assert np.array_equal(np.sign(found.distance_m[clear]), inside[clear])
-    o3d = _open3d()
-    scene = o3d.t.geometry.RaycastingScene()
-    scene.add_triangles(mesh.vertices_m.astype(np.float32), mesh.faces.astype(np.uint32))
-    theirs = scene.compute_signed_distance(o3d.core.Tensor(points.astype(np.float32))).numpy()
-    # 1.5e-3: on faces of 10 m by 0.1 m float32 takes Open3D up to 1 mm from the nearest place
-    np.testing.assert_allclose(np.abs(theirs), np.abs(found.distance_m), rtol=0, atol=1.5e-3)
-    for sign in (1, -1):  # whichever of its signs is the front
-        assert np.mean(np.sign(theirs[clear]) == sign * inside[clear]) < 0.9
-
-
 # ---------------------------------------------------------------- borders
 
 
@@ -347,16 +317,3 @@ def test_no_points_and_loose_vertices_are_no_mistake() -> None:
     # a vertex without a face neither widens the mesh nor is a place of it
     found = distances([*SQUARE, [1e9, 0, 0]], TWO_FACES, [[1.0, 2, 0.5], [5000, 2, 0]])
     assert found.distance_m.tolist() == [0.5, 4996.0]
-
-
-# ---------------------------------------------------------------- Open3D
-
-
-def test_open3d_finds_the_same_places_within_float32(rng: np.random.Generator) -> None:
-    bank = rough_bank.RoughBank(120, 80, step_m=0.05, rough_m=0.02)
-    points = bank.points(20_000)
-    ours = Surface(bank.mesh).distances(points)
-    theirs = RayCaster(bank.mesh.vertices_m, bank.mesh.faces).closest_points(points)
-    # 2e-6: float32 has steps of 0.24 um at 3 m
-    np.testing.assert_allclose(theirs.distance_m, np.abs(ours.distance_m), rtol=0, atol=2e-6)
-    assert (theirs.distance_m >= np.abs(ours.distance_m) - 1e-6).all()

@@ -44,22 +44,6 @@ def test_closed_bodies_beside_trimesh(rng: np.random.Generator, shape: str, shif
         assert same.mean() > 0.999
 
 
-def test_rough_open_ground_beside_trimesh() -> None:
-    """Distances only: its sign counts crossings of rays and needs a closed body."""
-    bank = rough_bank.RoughBank(60, 40, step_m=0.05, rough_m=0.02)
-    points = bank.points(2000)
-    theirs = trimesh.Trimesh(bank.mesh.vertices_m, bank.mesh.faces, process=False)
-    found, (place, distance, _) = ours_and_trimesh(theirs, points)
-    np.testing.assert_allclose(np.abs(found.distance_m), distance, rtol=0, atol=1e-14)
-    same = np.linalg.norm(found.nearest_m - place, axis=1) < 1e-12
-    assert same.mean() > 0.999
-    side = bank.above(points)
-    inside = ~found.at_border & (side != 0)
-    theirs_sign = -np.sign(trimesh.proximity.signed_distance(theirs, points))
-    assert (np.sign(found.distance_m) == side)[inside].all()
-    assert (theirs_sign != side)[inside].mean() > 0.1
-
-
 # ---------------------------------------------------------------- CloudCompare
 
 

@@ -251,13 +251,6 @@ def mesh_of(points: np.ndarray, **settings: Any) -> TriangleMesh:
     return mesh_reference(points, track_m=TRACK, settings=ReferenceSettings(**settings))[0]
 
 
-@pytest.mark.parametrize("method", METHODS)
-def test_a_profile_is_no_surface(rng: np.random.Generator, method: str) -> None:
-    line = np.outer(rng.uniform(0, 20, 4000), [0.3, -0.8, 0.5])
-    with pytest.raises(GeometryError, match="a line or a place"):
-        mesh_of(line, method=method)
-
-
 def test_clouds_that_cannot_be_meshed_are_told(rng: np.random.Generator) -> None:
     with pytest.raises(InputError, match="at least 3"):
         mesh_of(np.full((10, 3), np.nan))
@@ -274,14 +267,3 @@ def test_a_cloud_of_plants_is_noted(rng: np.random.Generator) -> None:
     crown = rng.uniform([-5, -5, 5], [5, -1, 8], (60_000, 3))
     _, facts = mesh_reference(np.concatenate([p, crown]), track_m=TRACK, settings=ReferenceSettings())
     assert any("Cleaning took" in note for note in facts["notes"])
-
-
-def test_repeated_and_broken_points_change_nothing(rng: np.random.Generator) -> None:
-    p = bank(rng, 5000)
-    spoilt = np.concatenate([p, p, np.full((7, 3), np.nan)])
-    one, facts = mesh_reference(p, track_m=TRACK, settings=ReferenceSettings())
-    other, more = mesh_reference(spoilt, track_m=TRACK, settings=ReferenceSettings())
-    np.testing.assert_array_equal(one.vertices_m, other.vertices_m)
-    np.testing.assert_array_equal(one.sigma_m, other.sigma_m)
-    assert (more["counts"]["duplicates"], more["counts"]["not_finite"]) == (5000, 7)
-    assert facts["counts"]["given"] == 5000

@@ -75,21 +75,6 @@ def test_sigma_follows_the_speckle(picture: "Maker", optics: SpeckleOptics) -> N
     assert error.std() < (0.05 if optics.f_number < 8 else 0.28)
 
 
-def test_a_wide_patch_is_steadier_than_one_column(picture: "Maker") -> None:
-    """C317 (P3 2.2): 21 columns against one."""
-    one, _ = all_errors(picture, LineSettings(method="lsm", patch_rows=1, patch_columns=21))
-    wide, _ = all_errors(picture, LineSettings(method="lsm", patch_rows=21, patch_columns=21))
-    assert one.std() / wide.std() > 2.5  # root of 21 rows, less their correlation: 3.4
-
-
-def test_row_wise_peaks_jump(picture: "Maker") -> None:
-    """C318 (P4 4.1, Fig. 5): adjacent rows up to three pixels apart, the patch a few tenths."""
-    made = picture(seed=2)
-    row, patch = (np.abs(np.diff(made.errors(detect_lines(made.image, s))[0])) for s in (ROW, LSM))
-    assert row.max() > 1.5
-    assert patch.max() < 0.5
-
-
 @pytest.mark.parametrize(("amplitude_px", "length_rows"), [(0.0, 1), (0.6, 4), (1.5, 12), (0.5, 1)])
 def test_the_default_is_never_worse_than_the_row_fit(
     picture: "Maker", amplitude_px: float, length_rows: float
@@ -181,15 +166,6 @@ def test_the_row_fit_is_a_least_squares_fit(picture: "Maker") -> None:
     # the row fit also knows the usual width to 30 %, and its window follows its start
     assert np.median(np.abs(apart)) < 0.05
     assert np.quantile(np.abs(apart), 0.9) < 0.25
-
-
-def test_a_slope_costs_the_plain_patch_and_not_the_default(picture: "Maker") -> None:
-    centre = 170 + 0.6 * (np.arange(512) - 255.5)
-    made = picture(centre, width=340)
-    plain, default = (made.errors(detect_lines(made.image, s))[0].std() for s in (LSM, LineSettings()))
-    # the study: 0.26, 0.12 px; the default's window follows the line, which gains
-    assert plain > 2.0 * default
-    assert default < 0.10
 
 
 # ---------------------------------------------------------------- kinds of images

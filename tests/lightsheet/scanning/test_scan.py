@@ -12,7 +12,7 @@ from thalweg.core import GeometryError, InputError, Rigid, UnobservableError
 from thalweg.core.geometry import TriangleMesh
 from thalweg.lightsheet.optics import Sensor, paper_4
 from thalweg.lightsheet.poses import factor
-from thalweg.lightsheet.scanning import merge, mesh_distances, profile
+from thalweg.lightsheet.scanning import merge, mesh_distances
 from thalweg.lightsheet.scanning.compare import align, check_lines, from_pairs, scan_against_mesh
 from thalweg.lightsheet.scanning.distances import border_effect, normality
 from thalweg.surface import Surface
@@ -162,12 +162,6 @@ def test_bad_poses_are_found_and_only_those(scan: Any, surface: Surface) -> None
     assert abs(normals["mean_mm"]) < 0.02
 
 
-def test_poses_in_another_order_are_refused(scan: Any, surface: Surface) -> None:
-    turned = replace(scan.poses, images=tuple(reversed(scan.poses.images)))
-    with pytest.raises(GeometryError, match=r"lines lie off|points lie within|no convergence"):
-        scan_against_mesh(merge(scan.profiles, turned), surface, scan.T_obj_ccs)
-
-
 def test_points_at_holes_of_the_reference_are_left_out(scan: Any, reference: TriangleMesh) -> None:
     """C326: without the rule, points over a hole have the distance to its rim."""
     aligned = scan.cloud.moved(scan.T_obj_ccs)
@@ -233,9 +227,3 @@ def test_picked_pairs_start_the_alignment(scan: Any, reference: TriangleMesh, su
         from_pairs(np.outer(np.arange(4.0), [1, 1, 0]), b[:4])
     with pytest.raises(GeometryError, match="after the best motion"):
         from_pairs(a, b[[1, 2, 3, 4, 0]])
-
-
-def test_a_profile_keeps_its_image(scan: Any, exact: Sensor, points_at: Callable[..., Any]) -> None:
-    again = profile(exact, points_at(scan.profiles[0].xy_px), image="sheet_000.png")
-    assert again.xyz_lcs_mm == pytest.approx(scan.profiles[0].xyz_lcs_mm, abs=1e-12)
-    assert len(again.where(np.arange(len(again)) < 7)) == 7

@@ -13,7 +13,7 @@ import pytest
 
 from tests.lightsheet.basin import run
 from tests.lightsheet.scanning.scan_files import ScanFiles, pixel_table, scan_files
-from thalweg.core import ClockError, GeometryError, InputError, ThalwegError, gps_from_unix
+from thalweg.core import GeometryError, InputError, ThalwegError, gps_from_unix
 from thalweg.core.geometry import TriangleMesh
 from thalweg.lightsheet.lines import LineFlag
 from thalweg.lightsheet.optics import paper_4
@@ -98,13 +98,6 @@ def test_the_index_of_air(files: ScanFiles) -> None:
     assert re.search("index of the water|medium", doubted(files.compare))
 
 
-def test_a_dry_housing(tmp_path: Path, simulated: Simulate, hull: Object, mesh: TriangleMesh) -> None:
-    dry = SENSOR.with_water(1.0)
-    seen = simulated(dry, hull, 4, lines=7, step_mm=6.0, beams=110, processing=dry)
-    files = scan_files(tmp_path, seen, SENSOR, mesh, sigma_px=NOISE_PX)
-    assert re.search("index of the water|medium", doubted(files.compare))
-
-
 # ---------------------------------------------------------------- pictures
 
 
@@ -159,18 +152,6 @@ def test_images_in_reverse_order(files: ScanFiles, scan: Any, steps: tuple[Any, 
     text = doubted(lambda: where.compare(LEVELS))
     where.change_poses(other.poses)
     assert "half of the lines lie off" in text
-
-
-def test_poses_of_the_next_image(files: ScanFiles, scan: Any) -> None:
-    names = scan.poses.images
-    files.change_poses(replace(scan.poses, images=(*names[1:], names[0])))
-    assert "belong together" in doubted(files.compare)
-
-
-def test_poses_of_another_scan(files: ScanFiles, scan: Any) -> None:
-    files.change_poses(replace(scan.poses, images=tuple(f"other_{k}.png" for k in range(7))))
-    text = told(files.merge, InputError)
-    assert "7 of 7 images have no entry among the poses, such as sheet_000.png" in text
 
 
 def test_lines_that_nothing_explains_are_a_warning(steps: tuple[Any, ScanFiles]) -> None:
@@ -259,29 +240,3 @@ def test_poses_of_a_good_recording(tripod: Callable[..., Path]) -> None:
     table = pd.read_csv(tripod())
     assert table["reason"].isna().all()
     assert np.diff(table["t_gps_s"]) == pytest.approx(1.0)
-
-
-def test_images_out_of_order(tripod: Callable[..., Path], tmp_path: Path) -> None:
-    files = sorted((tmp_path / "images").iterdir())
-    files[2], files[5] = files[5], files[2]
-    text = told(lambda: tripod(images=files), ClockError)
-    assert "images are out of order" in text
-    assert files[3].name in text
-    assert "Sort the images by their stamps" in text
-
-
-def test_marks_of_another_recording(tripod: Callable[..., Path], tmp_path: Path) -> None:
-    marks = pd.read_csv(tmp_path / "marks.csv")
-    marks.assign(file=marks["file"].str.replace("sheet", "img")).to_csv(tmp_path / "m.csv", index=False)
-    text = told(lambda: tripod(marks=tmp_path / "m.csv"), InputError)
-    assert "none of 7 images is among the 7 pictures of the standing camera" in text
-
-
-def test_a_panel_read_backwards(tripod: Callable[..., Path], tmp_path: Path) -> None:
-    marks = pd.read_csv(tmp_path / "marks.csv")
-    for _, one in marks.groupby("file"):
-        marks.loc[one.index, ["x_px", "y_px"]] = one[["x_px", "y_px"]].to_numpy()[::-1]
-    marks.to_csv(tmp_path / "m.csv", index=False)
-    text = told(lambda: tripod(marks=tmp_path / "m.csv"))
-    assert "none of 7 pictures gives a pose" in text
-    assert "the order of the marks" in text
