@@ -93,23 +93,3 @@ def test_a_table_pools_seeds_and_says_what_is_right() -> None:
     assert table["low"]["estimated"] == pytest.approx(1 / table["high"]["estimated"])
     assert table["seeds"].tolist() == [3, 3]
     assert np.isnan(study.table(rows[rows["seed"] == 0])["low"]).all()
-
-
-def test_surveys_that_were_refused_are_counted_and_in_no_mean() -> None:
-    rows = pd.DataFrame(
-        [
-            {
-                "chain": "fused",
-                "variant": "base",
-                "model": "presumed",
-                "quantity": "pose",
-                "seed": seed,
-                "nees": nees,
-                "n": 10,
-                "coverage_95": 0.9,
-            }
-            for seed, nees in enumerate((0.9, 1.1, np.nan))
-        ]
-    )
-    found = study.table(rows).iloc[0]
-    assert (found["nees"], found["seeds"], found["refused"]) == (pytest.approx(1.0), 2, 1)
