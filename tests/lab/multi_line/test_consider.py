@@ -69,29 +69,6 @@ def test_a_wrong_parameter_moves_depths_as_predicted(quiet, name: str) -> None:
     np.testing.assert_allclose(change, predicted, atol=0.03 * np.abs(predicted).max() + 1e-7)
 
 
-def test_lines_take_up_most_of_an_error_on_their_own_levels(quiet) -> None:
-    sensor, points, _ = quiet
-    found = calibrate_lines(sensor, points, line_model("diode", nominal_diode(sensor)))
-    considered = consider_sensor(sensor, points, found)
-    assert not set(considered.names) & set(PARAMETERS[15:21])
-    own = points.of(points.depth_mm == LEVELS_MM[0])
-    with_lines = depth_errors(sensor, found, considered, own).sigma_sensor_mm
-    still = replace(considered, unknowns_by_sensor=np.zeros_like(considered.unknowns_by_sensor))
-    assert with_lines.mean() < 0.3 * depth_errors(sensor, found, still, own).sigma_sensor_mm.mean()
-
-
-def test_without_covariance_nothing_is_considered(quiet) -> None:
-    sensor, points, planes = quiet
-    exact = sensor.with_vector(sensor.vector(), cov=np.zeros((26, 26)))
-    found = calibrate_lines(exact, points, line_model("diode", nominal_diode(exact)))
-    considered = consider_sensor(exact, points, found)
-    assert considered.names == ()
-    told = depth_errors(exact, found, considered, planes)
-    np.testing.assert_array_equal(told.sigma_sensor_mm, 0.0)
-    assert (told.sigma_mm > told.noise_mm).all()
-    assert told.sigma_mean_mm < told.sigma_mm.min()
-
-
 def test_predicted_errors_of_planes_hold_with_a_calibrated_sensor() -> None:
     """Six lines, the sensor as its own calibration knows it: a model that fits is right about itself."""
     found = []

@@ -40,18 +40,6 @@ def test_errors_are_as_the_variant_says() -> None:
     assert tail["base"] < 4 < tail["heavy_tails"]
 
 
-def test_slow_errors_of_the_heading_are_in_no_sigma() -> None:
-    heading = {
-        v: study.survey_of(study.VARIANTS[v], 1, 20.0).states["heading_rad"].to_numpy()
-        for v in ("base", "heading_constant", "heading_slow")
-    }
-    constant = np.rad2deg(heading["heading_constant"] - heading["base"])
-    slow = np.rad2deg(heading["heading_slow"] - heading["base"])
-    assert np.abs(constant) == pytest.approx(np.full(len(constant), 0.3))
-    # in 20 of 300 s it changes by a third of itself
-    assert 0 < np.ptp(slow) < 0.4
-
-
 def test_sigmas_stated_too_small_fail_as_presumed_and_hold_as_estimated() -> None:
     """One observation: 40 s hold some four errors, which last 10 s, of each of six numbers of the pose.
 
