@@ -208,20 +208,6 @@ def test_multipath_is_in_no_sigma_and_moves_both_engines_alike(record: Any) -> N
     assert low < np.mean(rms**2) / (0.5 * share) ** 2 < high
 
 
-def test_outages_and_floats_by_time_come_on_top(record: Any) -> None:
-    config = TwinConfig.of_size(
-        "tiny",
-        duration_s=8.0,
-        gnss={"shadow": True},
-        effects={"gnss_outages": [[2, 1]], "gnss_floats": [[4, 2]]},
-    )
-    facts, _ = record("both", config, scene_of(GROUND))
-    for engine in ("rtk", "ppk"):
-        assert facts["spans_not_fixed"][engine] == [[2.0, 1.0, "none"], [4.0, 2.0, "float"]]
-    assert facts["epochs"] - facts["epochs_written"] == 10
-    assert facts["float_epochs"] == 20
-
-
 # ---------------------------------------------------------------- single frequency
 
 

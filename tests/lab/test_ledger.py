@@ -23,7 +23,7 @@ from thalweg_lab.reproduction import (
     read_ledger,
     sentence,
 )
-from thalweg_lab.reproduction.files import BY_ARITHMETIC, PUT_IN, Entry, Ours
+from thalweg_lab.reproduction.files import Entry, Ours
 from thalweg_lab.reproduction.ledger import (
     ABOVE,
     BELOW,
@@ -174,19 +174,6 @@ def test_rules(small, rule: str, value, ours, verdict: str, missed_by: float) ->
     np.testing.assert_allclose(found[2], missed_by, atol=1e-12)
 
 
-@pytest.mark.parametrize("put_in", list(PUT_IN))
-@pytest.mark.parametrize(("rule", "ours"), [("equal", 1.0), ("at most", 0.2), ("at least", 9.0)])
-def test_what_was_put_in_is_never_a_finding(small, put_in: str, rule: str, ours: float) -> None:
-    entry = replace(small[0][1], rule=rule, value=1.0, put_in=put_in)
-    expected = BY_DEFINITION if put_in in BY_ARITHMETIC else INPUT
-    assert verdict_of(entry, Found(value=ours))[0] == expected
-    # a miss stays one
-    assert (
-        verdict_of(entry, Found(value={"equal": 2.0, "at most": 2.0, "at least": 0.1}[rule]))[0]
-        == NOT_MATCHED
-    )
-
-
 def numbers(**columns) -> pd.DataFrame:
     """A table as of `judged` with the columns that counting needs."""
     n = len(columns["verdict"])
@@ -237,19 +224,6 @@ def test_counts_and_the_sentence_agree_and_add_up() -> None:
     assert (n["distinct"] == n["entries"]).all()
     assert n.loc[list(VERDICTS), "distinct"].sum() == n.loc["all", "distinct"] == 12
     assert n.loc[[COULD_FAIL, FAILED, "below a third of a bound"], "entries"].tolist() == [5, 1, 2]
-
-
-def test_a_number_that_was_fitted_says_so_when_its_study_is_there(ledger, tmp_path: Path) -> None:
-    """C275: the fields of the study of chains were chosen so that the INS comes near the printed 23 cm."""
-    path = tmp_path / "chain_study_goals.csv"
-    pd.DataFrame({"chain": ["ins", "camera"], "found_m": [0.231, 0.07]}).to_csv(path, index=False)
-    entry = next(e for e in ledger if e.name == "C275")
-    (row,) = judged((entry,), Results.of({}, {path.name: path}, None)).to_dict("records")
-    assert row["ours"] == pytest.approx(23.1)
-    assert row["verdict"] == INPUT
-    pd.DataFrame({"chain": ["ins"], "found_m": [0.30]}).to_csv(path, index=False)
-    (row,) = judged((entry,), Results.of({}, {path.name: path}, None)).to_dict("records")
-    assert row["verdict"] == NOT_MATCHED
 
 
 def test_sampling_error_needs_a_sigma(small) -> None:

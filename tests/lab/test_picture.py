@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from thalweg.core import Camera, GeometryError, Rigid
-from thalweg_lab.river import Material, Scene, Waves, fresnel, mirrored
+from thalweg_lab.river import Material, Scene, Waves
 from thalweg_lab.river_images import Sun
 from thalweg_lab.time_lapse.renderer import Renderer, World
 from thalweg_lab.yard import looking
@@ -111,16 +111,6 @@ def test_the_sun_stands_where_almanacs_say() -> None:
 
 
 # ---------------------------------------------------------------- water
-
-
-def test_fresnel_and_reflection() -> None:
-    # ((n - 1) / (n + 1))^2 = 2.04 % straight down; everything at grazing incidence.
-    assert fresnel(np.array([1.0]))[0] == pytest.approx((0.333 / 2.333) ** 2, rel=1e-12)
-    assert fresnel(np.array([0.0]))[0] == pytest.approx(1.0, abs=1e-12)
-    assert np.all(np.diff(fresnel(np.linspace(0, 1, 100))) < 0)
-    a = np.deg2rad(50.0)
-    ray, up = np.array([[np.sin(a), 0.0, -np.cos(a)]]), np.array([[0.0, 0.0, 1.0]])
-    np.testing.assert_allclose(mirrored(ray, up), [[np.sin(a), 0.0, np.cos(a)]], atol=1e-15)
 
 
 def test_calm_water_mirrors_a_board_and_waves_blur_the_mirror() -> None:

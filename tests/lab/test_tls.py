@@ -1,6 +1,5 @@
 """Terrestrial scans: spacing, noise and footprint as stated, leaves at 1550 nm, rays only where of use."""
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +10,7 @@ import pytest
 from thalweg.core import ArrayF, ArrayI, LocalFrame, laz_header
 from thalweg.core.geometry import RayCaster
 from thalweg_lab.instruments import simulate_tls
-from thalweg_lab.instruments.tls import Scan, Station, scan, station_positions
+from thalweg_lab.instruments.tls import Station, station_positions
 from thalweg_lab.reach import River
 from thalweg_lab.river import REFLECTANCE_1550, Material, Scene
 from thalweg_lab.settings import TwinConfig, TwinTls
@@ -36,16 +35,6 @@ def centre(twin: Any, caster: RayCaster) -> ArrayF:
     """The middle one of three stations."""
     places = station_positions(twin.config, River(twin.config.scene, SEED), 3, caster)
     return np.asarray(places[1])
-
-
-@pytest.fixture(scope="module")
-def look(scene: Scene, centre: ArrayF, caster: RayCaster) -> Callable[..., Scan]:
-    """A scan of 120 by 60 degrees (20 below to 40 above the horizon), 5 mrad apart, with settings."""
-
-    def again(step_rad: float = 0.005, **changes: Any) -> Scan:
-        return scan(at(scene, centre, caster, **changes), scene, -np.pi / 2, step_rad)
-
-    return again
 
 
 def facing_wall(distance_m: float) -> tuple[Any, RayCaster, ArrayF, ArrayI]:
@@ -106,19 +95,6 @@ def test_points_on_the_far_shore_have_the_spacing_of_the_settings(twin: Any, tmp
     step = np.median(np.diff(columns[np.concatenate([[True], np.diff(columns) > 5e-4])]))
     # Coordinates in steps of 1 mm blur the azimuth by 0.04 mrad of 2 mrad.
     assert step * (config.scene.width_m + 3.0) == pytest.approx(0.05, rel=0.05)
-
-
-def test_all_echoes_are_written_with_their_numbers(look: Callable[..., Scan]) -> None:
-    # A wide beam, so that a small scan has many edges.
-    every = look(divergence_mrad=3.0)
-    assert every.counts["points"] == len(every.points_wcs_m)
-    assert every.counts["later_returns"] == np.sum(every.return_number == 2) > 100
-    assert set(every.number_of_returns) == {1, 2}
-    second = np.flatnonzero(every.return_number == 2)
-    assert np.all(every.return_number[second - 1] == 1)
-    assert np.all(every.number_of_returns[second - 1] == 2)
-    # Narrow beams pass between the leaves: a tenth of the footprint has far fewer edges in it.
-    assert look().counts["later_returns"] < 0.3 * every.counts["later_returns"]
 
 
 def test_stations_stand_where_they_see_the_other_bank(twin: Any, caster: RayCaster) -> None:

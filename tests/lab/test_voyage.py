@@ -125,21 +125,6 @@ def test_the_truth_file_holds_the_motion(voyage: Voyage) -> None:
     np.testing.assert_allclose(rotation, voyage.R_wcs_ics(t), atol=5e-6)
 
 
-@pytest.mark.parametrize(
-    ("changes", "found"),
-    [
-        ({"boat": {"bank_distance_m": 11.0}}, "leaves no water in the middle"),
-        ({"duration_s": 120.0}, "along a reach of 130 m"),
-        ({"boat": {"turn_rate_degps": 0.3}}, "the river's bends alone turn the boat"),
-    ],
-)
-def test_an_impossible_voyage_is_refused(changes: dict[str, object], found: str) -> None:
-    with pytest.raises(ConfigError) as error:
-        Voyage(TwinConfig.of_size("tiny", **changes), 3)
-    assert found in str(error.value)
-    assert "twin." in error.value.cure
-
-
 def test_gauss_markov_has_its_sigma_and_its_correlation_two_sided() -> None:
     x = gauss_markov(np.random.default_rng(1), 400_000, 0.1, 2.0, 1.0)
     # 400,000 samples with 20 correlated steps each: 20,000 independent ones, sigma known to 0.5 %.
