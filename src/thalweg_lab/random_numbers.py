@@ -18,27 +18,15 @@ def generator(seed: int, name: str) -> np.random.Generator:
 
 
 def gauss_markov(
-    rng: np.random.Generator,
-    n: int,
-    step_s: float,
-    sigma: float,
-    correlation_time_s: float,
-    tails: float | None = None,
+    rng: np.random.Generator, n: int, step_s: float, sigma: float, correlation_time_s: float
 ) -> ArrayF:
-    """A stationary first-order Gauss-Markov process, shape (n,); ``tails`` of what drives it as in `drawn`.
+    """A stationary first-order Gauss-Markov process, shape (n,).
 
     ``x[k+1] = a x[k] + sigma sqrt(1 - a^2) w[k]`` with ``a = exp(-step / correlation time)``; its variance is
     sigma^2 at each epoch and its autocorrelation ``exp(-|tau| / correlation time)`` (Gelb 1974, 2.2).
     """
-    white = drawn(rng, n, tails)
+    white = rng.standard_normal(n)
     a = float(np.exp(-step_s / correlation_time_s))
     drive = white * np.sqrt(1.0 - a * a)
     drive[:1] = white[:1]
     return np.asarray(sigma * lfilter([1.0], [1.0, -a], drive))
-
-
-def drawn(rng: np.random.Generator, shape: int | tuple[int, ...], tails: float | None = None) -> ArrayF:
-    """Errors of unit variance: normal, or of Student's distribution with ``tails`` > 2 degrees of freedom."""
-    if tails is None:
-        return rng.standard_normal(shape)
-    return np.asarray(rng.standard_t(tails, shape) * np.sqrt(1.0 - 2.0 / tails))

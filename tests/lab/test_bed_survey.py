@@ -1,6 +1,5 @@
 """The survey of the bed on foot: where its points are, how they err, and how the processing reads them."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +7,6 @@ import pytest
 from scipy.spatial import cKDTree
 
 from tests.lab.conftest import FRAME, SEED, Twin, short
-from thalweg.core import CoverageError
 from thalweg.ingest.tracks import read_bed_survey
 from thalweg_lab.instruments import simulate_bed_survey
 from thalweg_lab.instruments.bed import DEPTHS_M, REACH_M, bed_points
@@ -55,9 +53,3 @@ def test_the_file_is_what_the_reader_takes_and_errs_as_stated(
     again = tmp_path / "again.csv"
     simulate_bed_survey(config, SEED, FRAME, twin.path("scene.npz"), again, crs="EPSG:25833")
     assert again.read_bytes() == path.read_bytes()
-
-
-def test_deep_water_cannot_be_surveyed_on_foot(twin: Twin, scene: Scene) -> None:
-    deep = replace(scene, water_level_m=scene.water_level_m + 3.0)
-    with pytest.raises(CoverageError, match=r"places in water of 0.1 to 1.5 m.*bank_distance_m"):
-        bed_points(twin.config, SEED, deep)

@@ -8,9 +8,9 @@ import pandas as pd
 import pytest
 from PIL import Image
 
-from thalweg.core import ADJUSTED_OFFSET_S, unix_from_gps
+from thalweg.core import ADJUSTED_OFFSET_S
 from thalweg_lab.instruments import simulate_display
-from thalweg_lab.instruments.display_photos import DisplayLook, Light, clock_text, exposures, shown_in
+from thalweg_lab.instruments.display_photos import DisplayLook, exposures, shown_in
 from thalweg_lab.settings import TwinConfig
 
 SEED = 7
@@ -58,21 +58,6 @@ def test_the_text_is_gps_time_of_day(tmp_path: Path) -> None:
     assert 0.003 < late.mean() < 0.012
 
 
-@pytest.mark.parametrize(
-    ("count", "rate_hz", "text"),
-    [
-        (0, 100.0, "00:00:00.00"),
-        (8_639_999, 100.0, "23:59:59.99"),
-        (8_640_000, 100.0, "00:00:00.00"),
-        (3_600 * 50, 50.0, "01:00:00.00"),
-        (57, 100.0, "00:00:00.57"),
-        (3, 10.0, "00:00:00.30"),
-    ],
-)
-def test_clock_text(count: int, rate_hz: float, text: str) -> None:
-    assert clock_text(count, rate_hz) == text
-
-
 def test_two_numbers_lie_over_each_other_where_the_display_changes() -> None:
     rows = np.array([0.0, 0.5, 1.0])
     counts, shares = shown_in(9.998, 0.004, 100.0, rows)
@@ -114,61 +99,4 @@ def test_the_digits_on_the_photographs_are_those_of_the_truth(tmp_path: Path, di
     assert (best[clear] == tenth[clear]).mean() > 0.98
 
 
-def test_a_strong_reflex_hides_digits_and_a_weak_one_does_not(tmp_path: Path) -> None:
-    strong, _ = taken(tmp_path / "strong", glare=1.0, unreadable=0.0)
-    weak, _ = taken(tmp_path / "weak", glare=0.15, unreadable=0.0)
-    assert weak["readable"].all()
-    assert 0.2 < strong["readable"].mean() < 0.95
-    # It moves: photographs before and behind it are readable.
-    lost = np.flatnonzero(~strong["readable"])
-    assert np.ptp(lost) + 1 < 1.5 * len(lost) + 20
-    look = DisplayLook.of(config().camera.display)
-    assert look.contrast(np.zeros(5)) > 0.7
-    assert look.contrast(np.array([0.0, 2.0])) == 0.0
-    at = Light(x_px=10.0, y_px=5.0, radius_px=4.0, strength=0.8, veil=0.1).at(
-        np.array([10.0, 90.0]), np.array([5.0, 5.0])
-    )
-    np.testing.assert_allclose(at, [0.9, 0.1], atol=1e-9)
-
-
-def test_spoiled_photographs_are_counted_and_differ(tmp_path: Path) -> None:
-    good, clean = taken(tmp_path / "good", unreadable=0.0, glare=0.0)
-    bad, spoiled = taken(tmp_path / "bad", unreadable=0.4, glare=0.0)
-    kinds = bad["spoiled"].value_counts()
-    assert 0.2 < (bad["spoiled"] != "").mean() < 0.6
-    assert set(kinds.index) == {"", "shaken", "out of focus", "covered", "burnt out"}
-    assert not bad.loc[bad["spoiled"] != "", "readable"].any()
-    # The same moments; what is not spoiled shows the same.
-    np.testing.assert_array_equal(good["shown"], bad["shown"])
-    apart = np.array([np.abs(a - b).mean() for a, b in zip(clean, spoiled, strict=True)])
-    assert apart[bad["spoiled"] == ""].max() < 6.0  # noise of its own, and the tripod trembles
-    assert apart[bad["spoiled"] != ""].min() > 6.0
-
-
 # ---------------------------------------------------------------- files
-
-
-def test_files_are_numbered_and_know_whole_seconds_only(tmp_path: Path) -> None:
-    truth, images = taken(tmp_path, duration_s=12.0)
-    assert truth["file"].tolist() == [f"P1{k + 1:06d}.JPG" for k in range(13)]
-    assert images[0].shape == (120, 320)
-    utc = unix_from_gps(truth["t_gps_s"].to_numpy()) + 2.3471
-    for row, clock in zip(truth.itertuples(), utc, strict=True):
-        with Image.open(tmp_path / "photos" / row.file) as image:
-            photo = image.getexif().get_ifd(0x8769)
-        assert 0x9291 not in photo
-        assert photo[0x9003] == f"{pd.Timestamp(int(clock * 1e6), unit='us'):%Y:%m:%d %H:%M:%S}"
-    sizes = [p.stat().st_size for p in (tmp_path / "photos").iterdir()]
-    # 5400 of them stay below 50 MB.
-    assert np.mean(sizes) < 9000
-
-
-def test_the_same_seed_gives_the_same_bytes_with_any_number_of_threads(tmp_path: Path) -> None:
-    for name, threads in (("one", 1), ("three", 3)):
-        simulate_display(
-            config(duration_s=15.0), SEED, tmp_path / name, tmp_path / f"{name}.parquet", threads=threads
-        )
-    for path in (tmp_path / "one").iterdir():
-        assert (tmp_path / "three" / path.name).read_bytes() == path.read_bytes()
-    one, three = (pd.read_parquet(tmp_path / f"{name}.parquet") for name in ("one", "three"))
-    pd.testing.assert_frame_equal(one, three)

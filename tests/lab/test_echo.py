@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from tests.lab.conftest import ECHO_M, FRAME, SEED, short
-from thalweg.core import ConfigError, read_table
+from thalweg.core import read_table
 from thalweg.ingest import PositionLog
 from thalweg.ingest.nmea import read_nmea
 from thalweg_lab.instruments import TRUE_SOUNDINGS, simulate_echo
@@ -104,16 +104,6 @@ def test_boulders_are_met_only_if_switched_on(tmp_path: Path) -> None:
     assert facts["effects"] == {"boulder": int(stone.sum())}
 
 
-def test_the_dead_zone_loses_or_doubles(tmp_path: Path) -> None:
-    shallow = [[x, y, -0.25] for x, y, _ in LEVEL]
-    log, truth, _ = record(tmp_path, bed(tmp_path, shallow), {"dead_zone_m": 0.2, "zeros": True})
-    found = dpt(log)
-    assert set(np.unique(found)) == {0.0, 0.3}
-    assert 0.25 < np.mean(found == 0) < 0.75
-    assert (truth["effect"] == "dead zone").all()
-    assert log.report.counts["no_bottom"] == 2 * int((found == 0).sum())
-
-
 def test_each_blunder_is_named_and_has_its_share(tmp_path: Path) -> None:
     shares = {"second_echo_share": 0.1, "spike_share": 0.1, "no_bottom_share": 0.1}
     log, truth, facts = record(tmp_path, bed(tmp_path), {**shares, "zeros": True, "rate_hz": 50.0})
@@ -132,15 +122,6 @@ def test_each_blunder_is_named_and_has_its_share(tmp_path: Path) -> None:
     assert (depth[(truth["effect"] == "no bottom").to_numpy()] == 0).all()
     np.testing.assert_allclose(truth["blunder_m"][quiet], 0.0, atol=1e-12)
     np.testing.assert_allclose(truth["blunder_m"][second], 2.5, atol=1e-3)
-
-
-def test_turns_drop_pings(tmp_path: Path) -> None:
-    log, truth, _ = record(tmp_path, bed(tmp_path), {"turn_dropout_share": 1.0}, short().boat.model_dump())
-    lost = (truth["effect"] == "turn").to_numpy()
-    voyage = Voyage(short(), SEED)
-    rate = np.rad2deg(np.abs(voyage.rates_ics_radps(truth["t_gps_s"].to_numpy())[:, 2]))
-    assert np.array_equal(lost, rate > 12.0)
-    assert len(dpt(log)) == (~lost).sum()
 
 
 def test_own_filters_smooth_and_come_late(tmp_path: Path) -> None:
@@ -235,8 +216,3 @@ def test_sections_cross_the_river_at_their_distance() -> None:
     np.testing.assert_allclose(np.diff(crossings), 12.0, atol=0.6)
     speed = np.linalg.norm(voyage.velocity_wcs_mps(t)[:, :2], axis=1)
     np.testing.assert_allclose(speed, 1.2, rtol=0.02)
-
-
-def test_patterns_that_do_not_fit_are_refused() -> None:
-    with pytest.raises(ConfigError, match="right angle takes the boat"):
-        patterned("sections", turn_rate_degps=7.0, line_spacing_m=5.0)

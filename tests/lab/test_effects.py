@@ -5,7 +5,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from thalweg_lab.instruments import inside
 from thalweg_lab.instruments.effects import damage_file, lost_packets
 from thalweg_lab.settings import TwinConfig, TwinEffects
 
@@ -26,20 +25,6 @@ def test_damage_is_where_the_report_says(tmp_path: Path) -> None:
     assert changed == facts["corrupt_offsets"]
     assert len(changed) == 20
     assert min(changed) >= 64
-
-
-def test_spans_and_bursts() -> None:
-    assert inside(np.array([0.0, 1.0, 1.9, 2.0, 5.0]), ((1.0, 1.0), (5.0, 0.1))).tolist() == [
-        False,
-        True,
-        True,
-        False,
-        True,
-    ]
-    effects = TwinConfig.of_size("tiny", effects={"lost_packets": 0.1, "lost_burst": 10}).effects
-    lost = lost_packets(effects, 10_000, np.random.default_rng(2))
-    # 100 bursts of 10; overlaps take some away.
-    assert 0.085 < np.mean(lost) <= 0.1
 
 
 @pytest.mark.parametrize(("share", "burst"), [(0.01, 5), (0.5, 1), (1.0, 5), (1.0, 1)])

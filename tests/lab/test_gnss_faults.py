@@ -12,7 +12,7 @@ from sbp.client.drivers.file_driver import FileDriver
 
 from tests.bands import band
 from tests.lab import sheets
-from thalweg.core import ArrayF, ConfigError, LocalFrame
+from thalweg.core import ArrayF, LocalFrame
 from thalweg.ingest.sbp import find_messages, read_sbp
 from thalweg.ingest.tracks import read_pos
 from thalweg_lab.instruments import (
@@ -77,23 +77,6 @@ def record(tmp_path: Path) -> Callable[..., tuple[dict[str, Any], Path]]:
 
 
 # ---------------------------------------------------------------- logs
-
-
-def test_an_open_sky_changes_the_number_of_satellites_only(record: Any) -> None:
-    scene = scene_of(GROUND)
-    _, off = record("off", twin(8.0))
-    _, ignored = record("ignored", twin(8.0), scene)
-    facts, on = record("on", twin(8.0, shadow=True), scene)
-    for name in ("ppk.pos", "rover.sbp"):
-        assert (off / name).read_bytes() == (ignored / name).read_bytes()
-    before, after = (read_pos([f / "ppk.pos"]).positions for f in (off, on))
-    assert before.drop(columns="n_sats").equals(after.drop(columns="n_sats"))
-    before, after = (read_sbp([f / "rover.sbp"]).positions for f in (off, on))
-    assert before.drop(columns="n_sats").equals(after.drop(columns="n_sats"))
-    sky = facts["sky"]["free"]
-    assert sky["min"] <= after["n_sats"].min() <= after["n_sats"].max() <= sky["max"]
-    assert facts["solutions"]["rtk"] == {"none": 0, "single": 0, "float": 0, "fixed": facts["epochs"]}
-    assert facts["spans_not_fixed"] == {"rtk": [], "ppk": []}
 
 
 def velocities(path: Path) -> tuple[ArrayF, ArrayF]:
@@ -225,26 +208,6 @@ def test_multipath_is_in_no_sigma_and_moves_both_engines_alike(record: Any) -> N
     assert low < np.mean(rms**2) / (0.5 * share) ** 2 < high
 
 
-def test_shadow_and_multipath_need_the_scene(record: Any) -> None:
-    for changes in ({"shadow": True}, {"multipath_m": 0.1}):
-        with pytest.raises(ConfigError, match="no scene"):
-            record("none", twin(8.0, **changes))
-
-
-def test_outages_and_floats_by_time_come_on_top(record: Any) -> None:
-    config = TwinConfig.of_size(
-        "tiny",
-        duration_s=8.0,
-        gnss={"shadow": True},
-        effects={"gnss_outages": [[2, 1]], "gnss_floats": [[4, 2]]},
-    )
-    facts, _ = record("both", config, scene_of(GROUND))
-    for engine in ("rtk", "ppk"):
-        assert facts["spans_not_fixed"][engine] == [[2.0, 1.0, "none"], [4.0, 2.0, "float"]]
-    assert facts["epochs"] - facts["epochs_written"] == 10
-    assert facts["float_epochs"] == 20
-
-
 # ---------------------------------------------------------------- single frequency
 
 
@@ -264,28 +227,3 @@ def test_a_single_frequency_track_as_in_p1(record: Any) -> None:
     # No base: nothing comes over the radio, from sender 0.
     with FileDriver((folder / "rover.sbp").open("rb")) as driver, Framer(driver.read, None) as framer:
         assert {message.sender for message, _ in framer} == {0x2EFB}
-
-
-def test_single_frequency_errors_over_seeds() -> None:
-    config = twin(8.0, mode="single_frequency", single_time_s=40.0)
-    kinds = np.full(1201, int(Solution.SINGLE))
-    sigmas = stated_sigmas_m(config.gnss, kinds)
-    found = np.array([antenna_errors_m(config, seed, "ppk", kinds, sigmas) for seed in range(200)])
-    # One epoch of 200 seeds: sigma known to 5 %.
-    np.testing.assert_allclose(found[:, 600].std(axis=0), [0.6, 0.6, 1.0], rtol=0.17)
-    first, later = found[:, 0], found[:, 400]
-    # 40 s later, one correlation time: a coefficient over 3 times 200 seeds is known to 0.035.
-    pooled = np.mean(first * later / sigmas[0] ** 2)
-    assert pooled == pytest.approx(np.exp(-1.0), abs=0.14)
-    # Smooth, as a filter's output: from epoch to epoch 0.07 sigma, sqrt(2 dt / time).
-    steps = np.diff(found, axis=1) / sigmas[0]
-    assert np.std(steps) == pytest.approx(np.sqrt(2 * 0.1 / 40.0), rel=0.05)
-
-
-def test_bad_reception_leaves_single_solutions_at_best(record: Any) -> None:
-    config = twin(shadow=True, mode="single_frequency")
-    facts, folder = record("bridge", config, scene_of(GROUND, (roof(10.0, 10.0, 1.5), Material.WALL)))
-    table = read_pos([folder / "ppk.pos"]).positions
-    assert set(table["fix"]) == {"single"}
-    assert facts["solutions"]["ppk"]["none"] > 10
-    assert table["sigma_up_m"].max() > 1.5 > 1.01 > table["sigma_up_m"].min()

@@ -9,13 +9,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from tests.bands import band
-from thalweg.core import R_ENU_NED, LocalFrame, rotation_enu_body
+from thalweg.core import LocalFrame
 from thalweg.ingest import PoseLog
 from thalweg.ingest.anpp import find_packets, read_anpp
-from thalweg_lab.instruments import attitude_errors_rad, boat_field_mg, simulate_ins
-from thalweg_lab.instruments.ins import EARTH_NED_MG, levelled_error_rad, low_pass, magnetic_heading_error_rad
-from thalweg_lab.random_numbers import gauss_markov, generator
+from thalweg_lab.instruments import attitude_errors_rad, simulate_ins
+from thalweg_lab.instruments.ins import levelled_error_rad, low_pass, magnetic_heading_error_rad
 from thalweg_lab.settings import TwinConfig
 from thalweg_lab.voyage import Voyage, epochs
 
@@ -96,26 +94,6 @@ def test_the_heading_error_has_its_closed_form(heading_deg: float, field: tuple[
     np.testing.assert_allclose(found, expected, atol=1e-12)
 
 
-def test_ten_milligauss_abeam_are_three_degrees() -> None:
-    """The textbook case: bow to magnetic north, 10 mG to the right: atan(10 / 199.6) = 2.87 degrees."""
-    zero = np.zeros(1)
-    found = levelled_error_rad(zero, zero, np.array([DECLINATION]), np.array([[0.0, 10.0, 0.0]]))
-    assert np.rad2deg(found[0]) == pytest.approx(-2.868, abs=1e-3)
-
-
-def test_a_leaning_boat_brings_the_vertical_field_in() -> None:
-    """Against brute force: rotate the whole field into the level frame and take its angle."""
-    rng = np.random.default_rng(3)
-    roll, pitch = rng.uniform(-0.3, 0.3, (2, 50))
-    heading = rng.uniform(0, 2 * np.pi, 50)
-    boat = rng.normal(0, 20, (50, 3))
-    found = levelled_error_rad(roll, pitch, heading, boat)
-    R = rotation_enu_body(roll, pitch, heading)
-    enu = R_ENU_NED @ EARTH_NED_MG + np.einsum("nij,nj->ni", R, boat)
-    north = np.arctan2(enu[:, 0], enu[:, 1])
-    np.testing.assert_allclose(wrapped(found + (north - DECLINATION)), 0.0, atol=1e-12)
-
-
 def test_the_filter_follows_with_its_time_constant() -> None:
     step = np.concatenate([np.zeros(100), np.ones(400)])
     followed = low_pass(step, 0.02, 2.0)
@@ -129,17 +107,6 @@ def test_the_filter_follows_with_its_time_constant() -> None:
     boat = np.full((3, 3), 5.0)
     whole = levelled_error_rad(zero, zero, zero, boat)
     np.testing.assert_allclose(magnetic_heading_error_rad(ins, zero, zero, zero, boat), whole / 4, rtol=1e-12)
-
-
-def test_the_raw_magnetometer_shows_the_earths_field(plain: Any) -> None:
-    log, facts, _ = plain
-    field = magnetometer(log)
-    norm = np.linalg.norm(field, axis=1)
-    # 0.5 mG of noise a component: 0.5 in the norm, its mean over 600 states known to 0.02.
-    assert norm.mean() == pytest.approx(np.linalg.norm(EARTH_NED_MG), abs=0.1)
-    assert norm.std() == pytest.approx(0.5, rel=0.15)
-    assert facts["boat_field_max_mg"] == 0.0
-    assert facts["unstated_heading_error_deg"] == {"rms": 0.0, "min": 0.0, "max": 0.0}
 
 
 def test_motor_fields_move_heading_and_magnetometer_and_nothing_else(tmp_path: Path, plain: Any) -> None:
@@ -164,24 +131,6 @@ def test_motor_fields_move_heading_and_magnetometer_and_nothing_else(tmp_path: P
     assert facts["boat_field_max_mg"] == pytest.approx(np.linalg.norm(field, axis=1).max(), rel=1e-9)
     # What the unit says of itself does not know of it.
     assert np.rad2deg(log.states["sigma_heading_rad"]).to_numpy() == pytest.approx(0.2, rel=1e-6)
-
-
-def test_hard_iron_is_a_constant_in_the_body(tmp_path: Path, plain: Any) -> None:
-    log, facts, _ = record(tmp_path, twin(hard_iron_mg=[2.0, -3.0, 6.0]))
-    np.testing.assert_allclose(
-        magnetometer(log) - magnetometer(plain[0]), np.tile([2.0, -3.0, 6.0], (len(log.raw), 1)), atol=7e-5
-    )
-    assert facts["boat_field_max_mg"] == pytest.approx(7.0)
-    assert facts["hard_iron_mg"] == [2.0, -3.0, 6.0]
-    both = boat_field_mg(
-        twin(hard_iron_mg=[2.0, -3.0, 6.0], motor_field_mg=MOTORS).ins, np.array([[0.5, 1.0]])
-    )
-    np.testing.assert_allclose(both, [[2 + 4.5, -3 + 2.0, 6 - 0.5]])
-
-
-def test_a_magnetometer_without_weight_moves_no_heading(tmp_path: Path, plain: Any) -> None:
-    log, _, _ = record(tmp_path, twin(motor_field_mg=MOTORS, magnetic_weight=0.0))
-    assert_equal_but(plain[0].states, log.states)
 
 
 # ---------------------------------------------------------------- the errors that the sigmas contain
@@ -232,34 +181,3 @@ def test_the_velocities_have_their_sigma_and_time_two_sided(tmp_path: Path) -> N
     np.testing.assert_allclose(lagged, np.exp(-1.0), atol=0.3)
     # Axes of their own.
     assert np.max(np.abs(np.corrcoef(error.T) - np.eye(3))) < 0.5
-
-
-def test_errors_of_the_velocity_are_in_the_velocity_only(tmp_path: Path, plain: Any) -> None:
-    log, _, _ = record(tmp_path, twin(sigma_velocity_mps=0.0))
-    assert_equal_but(plain[0].states, log.states, "v_east_mps", "v_north_mps", "v_down_mps")
-    assert_equal_but(plain[0].raw, log.raw)
-    true = Voyage(twin(), SEED).velocity_wcs_mps(epochs(twin(), 50.0)) * [1, 1, -1]
-    # The level at the boat differs from that of the origin by 50 m / 6.4e6 m.
-    np.testing.assert_allclose(log.states[["v_east_mps", "v_north_mps", "v_down_mps"]], true, atol=1e-4)
-
-
-def test_gauss_markov_is_stationary_from_the_first_value() -> None:
-    first = np.array([gauss_markov(generator(seed, "x"), 3, 1.0, 2.0, 50.0) for seed in range(2000)])
-    # 2000 draws: sigma known to 1.6 %.
-    np.testing.assert_allclose(first.std(axis=0), 2.0, rtol=0.07)
-
-
-def test_a_heading_with_motor_fields_leaves_the_band_of_its_sigma() -> None:
-    """Over seeds the errors are inside their band without the fields, and outside of it with them."""
-    config = twin(motor_field_mg=[[3.0, -20.0, 1.0], [3.0, 8.0, -1.0]], attitude_time_s=0.5)
-    squares = {"off": [], "on": []}  # type: dict[str, list[float]]
-    for seed in range(30):
-        voyage, t = Voyage(config, seed), epochs(config, 50.0)
-        drawn = attitude_errors_rad(config, seed, t, voyage.start_gps_s)[:, 2]
-        field = boat_field_mg(config.ins, voyage.thrust(t))
-        unstated = magnetic_heading_error_rad(config.ins, *voyage.angles_rad(t), field)
-        for name, error in (("off", drawn), ("on", drawn + unstated)):
-            squares[name].append(float((error[-1] / np.deg2rad(0.2)) ** 2))
-    low, high = band(30)  # one value a seed
-    assert low < np.mean(squares["off"]) < high
-    assert np.mean(squares["on"]) > high

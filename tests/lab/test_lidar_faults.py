@@ -181,48 +181,6 @@ def test_returns_of_the_own_boat_lie_on_it(all_faults: tuple[Path, Recording]) -
     assert len(water[water["kind"] == EchoKind.SURFACE]) < 0.05 * len(boat)
 
 
-def test_second_returns_come_from_behind_leaves(record: Recorder) -> None:
-    settings = {"mirror_ghosts": False, "own_hull": False}
-    path, _, _ = record("foliage", lidar={"returns": "dual", **settings}, duration_s=1.0)
-    table, _ = read_table(path.with_suffix(".parquet"), LIDAR_SHOTS)
-    assert table["t_gps_s"].is_monotonic_increasing
-    second = np.flatnonzero(table["return_number"] == 2)
-    assert len(second) > 300
-    first = table.iloc[second - 1]
-    assert np.array_equal(first["t_gps_s"], table.iloc[second]["t_gps_s"])
-    plants = [m for m in Material if m.name in ("LEAF", "REED", "BLADE", "BARK", "WOOD")]
-    # Beams pass by plants: much more often than plants are met at all.
-    assert np.mean(np.isin(first["material"], plants)) > 0.7
-    # The last of two returns is what the mode "last" reports, and "strongest" reports one of both.
-    number = pd.Index(np.rint((table["t_gps_s"] - table["t_gps_s"].min()) / 2.304e-6).astype(int))
-    for mode in ("last", "strongest"):
-        single, _, _ = record(mode, lidar={"returns": mode, **settings}, duration_s=1.0)
-        alone, _ = read_table(single.with_suffix(".parquet"), LIDAR_SHOTS)
-        assert set(alone["return_number"]) == {1}
-        at = pd.Index(np.rint((alone["t_gps_s"] - table["t_gps_s"].min()) / 2.304e-6).astype(int))
-        places = set(zip(number, table["east_m"], strict=True))
-        if mode == "last":
-            last = ~pd.Series(number).duplicated(keep="last").to_numpy()
-            places = set(zip(number[last], table["east_m"][last], strict=True))
-        missing = [p for p in zip(at, alone["east_m"], strict=True) if p not in places]
-        # The recording of whole packets ends a packet earlier or later.
-        assert len(missing) < 0.001 * len(alone)
-
-
-def test_dark_things_are_lost_the_more_the_farther(record: Recorder) -> None:
-    settings = {"mirror_ghosts": False, "own_hull": False}
-    every = read(*record("every", lidar={"dark_dropouts": False, **settings}, duration_s=1.0))
-    some = read(*record("some", lidar=settings, duration_s=1.0))
-    shot = every.truth.index.to_numpy()
-    gone = some.range_m[shot] == 0
-    r, dark = every.range_m[shot], every.brightness[shot]
-    shares = [np.mean(gone[(r >= a) & (r < b) & (dark < 8)]) for a, b in ((3, 15), (15, 30), (30, 100))]
-    assert shares[0] < shares[1] < shares[2]
-    assert shares[2] > 0.1
-    # The limit at 60 m is 3.6 %, and twice the limit is five widths above it.
-    assert np.mean(gone[(dark > 8) & (r < 60)]) == 0
-
-
 def test_pieces_of_any_size_give_the_same_log(
     record: Recorder, all_faults: tuple[Path, Recording], monkeypatch: pytest.MonkeyPatch
 ) -> None:

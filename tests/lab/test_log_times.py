@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from thalweg.core import ADJUSTED_OFFSET_S, WEEK_S, ConfigError, LocalFrame, gps_from_unix
+from thalweg.core import ADJUSTED_OFFSET_S, ConfigError, LocalFrame
 from thalweg.ingest.anpp import read_anpp
 from thalweg.ingest.nmea import read_nmea
 from thalweg.ingest.sbp import read_sbp
@@ -96,12 +96,6 @@ def test_the_readers_find_an_even_axis(what: str, tmp_path: Path) -> None:
         place = FRAME.from_geodetic(table["lat_deg"], table["lon_deg"], table["h_ell_m"])
         lever = np.zeros(3) if name == "ins" else ANTENNA_M
         assert np.abs(place - voyage.sensor_wcs_m(table["t_gps_s"].to_numpy(), lever)).max() < limit_m
-
-
-def test_the_gps_week_really_changes_inside() -> None:
-    config = twin(STARTS["GPS week"])
-    weeks = (epochs(config, 10.0) + ADJUSTED_OFFSET_S) // WEEK_S
-    assert weeks[0] + 1 == weeks[-1] == 2158
 
 
 def test_depths_without_dates_over_midnight(tmp_path: Path) -> None:
@@ -201,10 +195,3 @@ def test_states_before_the_ins_knows_utc_have_no_gps_time(tmp_path: Path) -> Non
     late = true - start_of(config) < 1.5 - 1e-6
     assert np.array_equal(np.isnan(t), late)
     np.testing.assert_allclose(t[~late], true[~late], rtol=0, atol=1e-6)
-
-
-def test_the_time_of_the_start_is_the_calendars() -> None:
-    """Against the leap-second table of the house."""
-    for start in STARTS.values():
-        unix = dt.datetime.fromisoformat(start).timestamp()
-        assert start_of(twin(start)) == pytest.approx(float(gps_from_unix(unix)), abs=1e-6)

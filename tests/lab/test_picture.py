@@ -5,27 +5,15 @@ import datetime as dt
 import numpy as np
 import pytest
 
-from thalweg.core import Camera, GeometryError, LocalFrame, Rigid
-from thalweg_lab.river import (
-    Material,
-    Scene,
-    Waves,
-    fresnel,
-    half_sphere,
-    hash01,
-    metered,
-    mirrored,
-    vertex_normals,
-)
-from thalweg_lab.river_images import Sun, sky
-from thalweg_lab.river_images.daylight import clear_sky
+from thalweg.core import Camera, GeometryError, Rigid
+from thalweg_lab.river import Material, Scene, Waves
+from thalweg_lab.river_images import Sun
 from thalweg_lab.time_lapse.renderer import Renderer, World
 from thalweg_lab.yard import looking
 from thalweg_lab.yard_images import LensRays
 
 NOON = Sun(azimuth_rad=np.pi, elevation_rad=np.deg2rad(60.0))
 RIPPLED = Waves.draw(1, rms_slope=0.04)
-FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
 
 
 def quad(corners: np.ndarray) -> np.ndarray:
@@ -122,30 +110,7 @@ def test_the_sun_stands_where_almanacs_say() -> None:
         Sun.at(noon_s + 43_200.0, 51.48, 0.0)
 
 
-def test_the_sky_is_bluer_up_and_brighter_at_the_sun_and_has_no_bands() -> None:
-    up = np.deg2rad(np.linspace(1, 89, 400))
-    d = np.stack([np.zeros(400), np.cos(up), np.sin(up)], axis=1)
-    light = clear_sky(d, NOON)
-    assert light[-1, 2] / light[-1, 0] > 1.5 * light[0, 2] / light[0, 0]
-    assert np.max(np.abs(np.diff(light, axis=0))) < 0.02
-    assert clear_sky(NOON.direction_wcs[None], NOON).min() > 10.0
-    assert clear_sky(NOON.direction_wcs[None], NOON, with_sun=False).max() < 2.0
-    clouds = sky(d, NOON, cover=0.9) - light
-    assert np.abs(clouds).max() > 0.1
-    np.testing.assert_array_equal(sky(d, NOON, cover=0.0), light)
-
-
 # ---------------------------------------------------------------- water
-
-
-def test_fresnel_and_reflection() -> None:
-    # ((n - 1) / (n + 1))^2 = 2.04 % straight down; everything at grazing incidence.
-    assert fresnel(np.array([1.0]))[0] == pytest.approx((0.333 / 2.333) ** 2, rel=1e-12)
-    assert fresnel(np.array([0.0]))[0] == pytest.approx(1.0, abs=1e-12)
-    assert np.all(np.diff(fresnel(np.linspace(0, 1, 100))) < 0)
-    a = np.deg2rad(50.0)
-    ray, up = np.array([[np.sin(a), 0.0, -np.cos(a)]]), np.array([[0.0, 0.0, 1.0]])
-    np.testing.assert_allclose(mirrored(ray, up), [[np.sin(a), 0.0, np.cos(a)]], atol=1e-15)
 
 
 def test_calm_water_mirrors_a_board_and_waves_blur_the_mirror() -> None:
@@ -165,34 +130,3 @@ def test_calm_water_mirrors_a_board_and_waves_blur_the_mirror() -> None:
 
 
 # ---------------------------------------------------------------- helpers
-
-
-def test_normals_of_corners_are_means_of_the_triangles_around() -> None:
-    v = np.array([[0.0, 0, 0], [0.0, 1, 0], [1.0, 0, -0.5], [1.0, 1, -0.5], [-1.0, 0, -0.5], [-1.0, 1, -0.5]])
-    f = np.array([[0, 2, 3], [0, 3, 1], [0, 1, 5], [0, 5, 4]])
-    np.testing.assert_allclose(vertex_normals(v, f)[0], [0, 0, 1], atol=1e-12)
-
-
-def test_rays_of_the_half_sphere_are_cosine_weighted() -> None:
-    n = 40_000
-    normal = np.tile(np.array([0.6, 0.0, -0.8]), (n, 1))
-    way = half_sphere(normal, np.arange(n), 0, 1)
-    np.testing.assert_allclose(np.linalg.norm(way, axis=1), 1.0, atol=1e-12)
-    cosine = np.sum(way * normal, axis=1)
-    assert cosine.min() >= 0.0
-    # Mean of the cosine 2/3, of its square 1/2; sampling error 0.0012.
-    assert cosine.mean() == pytest.approx(2 / 3, abs=0.006)
-    assert np.mean(cosine**2) == pytest.approx(0.5, abs=0.006)
-    u = hash01(np.arange(n), 5)
-    assert u.min() >= 0.0
-    assert u.max() < 1.0
-    assert u.mean() == pytest.approx(0.5, abs=0.008)
-
-
-def test_the_exposure_follows_the_upper_quartile() -> None:
-    light = np.random.default_rng(1).uniform(0.02, 0.3, (40, 60, 3))
-    # five times brighter in the shade, where all light is a fifth; a few glints of the sun change little
-    assert metered(0.2 * light) == pytest.approx(5 * metered(light), rel=1e-12)
-    glints = light.copy()
-    glints[0, :10] = 50.0
-    assert metered(glints) == pytest.approx(metered(light), rel=0.01)

@@ -15,12 +15,10 @@ from thalweg_lab.instruments.footprint import (
     choose,
     echoes_of,
     part_of,
-    quantise,
-    range_sigma_m,
     seen,
 )
 from thalweg_lab.instruments.lidar import ELEVATION_RAD, fresnel, ghosts, overlap
-from thalweg_lab.river import LENGTH_M, REFLECTANCE, WIDTH_M, Hull, Material, Waves, hull_mesh
+from thalweg_lab.river import REFLECTANCE, Hull, Material, Waves
 
 DIVERGENCE = 0.003
 
@@ -200,27 +198,6 @@ def test_detection_falls_smoothly_with_the_signal() -> None:
     assert seen(s, r, zero, weakest=0.1, width=0.2, dark_dropouts=False).tolist() == [True, True, True, False]
 
 
-def test_range_noise_of_weak_echoes() -> None:
-    sigma = range_sigma_m(
-        np.array([100.0, 50, 50, 1, np.inf]), np.array([0.1, 0.1, 0.4, 0.4, 0]), 0.0173, 0.03
-    )
-    expected = [np.hypot(17.3, 30), np.hypot(17.3, 7.5), np.hypot(17.3, 1.875), 17.3, 0.0]
-    np.testing.assert_allclose(1000 * sigma, expected, atol=1e-3)
-
-
-def test_reported_distances_and_reflectivities() -> None:
-    echo = Echoes.single(
-        np.array([10.0011, 0.39, 99.999, np.inf, 50.0]),
-        np.array([0.333, 0.5, 0.001, 0.5, 3.0]),
-        np.zeros((5, 3)),
-        np.zeros(5, dtype=np.uint8),
-        EchoKind.SURFACE,
-    )
-    distance, brightness = quantise(echo, np.array([0.0, 0.1, 0.002, 0.0, -0.01])[:, None], 100.0)
-    assert distance[:, 0].tolist() == [5001, 0, 0, 0, 24995]
-    assert brightness[:, 0].tolist() == [33, 0, 0, 0, 100]
-
-
 @pytest.mark.parametrize(
     ("distance", "strength", "strongest", "last", "dual"),
     [
@@ -338,25 +315,6 @@ def test_rays_by_way_of_facets_find_the_same_share(
     # A quarter of a million rays in some 1,000 bins: 0.3 %; bins: below 1 %; curve of a wide beam at 80
     # degrees: 1 %.
     assert found == pytest.approx(said, rel=0.02)
-
-
-def test_the_boat_has_the_size_of_the_hydrone() -> None:
-    vertices, triangles = hull_mesh(height_m=0.2)
-    size = np.ptp(vertices, axis=0)
-    np.testing.assert_allclose(size[:2], [LENGTH_M, WIDTH_M])
-    assert (LENGTH_M, WIDTH_M) == (1.17, 0.74)
-    # It floats: some below the water line at 0.2 m, most above.
-    assert 0.2 < vertices[:, 2].max() < 0.5
-    assert vertices[:, 2].min() < -0.3
-    assert triangles.max() == len(vertices) - 1
-    # Closed bodies: every edge belongs to two triangles.
-    edges = np.sort(
-        np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1
-    )
-    _, count = np.unique(edges, axis=0, return_counts=True)
-    assert set(count) == {2}
-    raised = hull_mesh(height_m=0.3)[0]
-    np.testing.assert_allclose(raised - vertices, np.tile([0, 0, 0.1], (len(vertices), 1)), atol=1e-12)
 
 
 def test_the_table_of_the_boat_leaves_out_no_beam_that_meets_it() -> None:

@@ -6,7 +6,7 @@ import pytest
 from tests.lab.conftest import Recorder
 from thalweg.core import read_table
 from thalweg_lab.instruments import LIDAR_SHOTS
-from thalweg_lab.instruments.footprint import MANY_SHOTS, drawn_packets
+from thalweg_lab.instruments.footprint import drawn_packets
 from thalweg_lab.voyage import start_gps_s
 
 
@@ -36,19 +36,3 @@ def test_the_truth_of_long_recordings_is_that_of_whole_packets(
     expected = full[drawn[packet]].reset_index(drop=True)
     assert 0.2 * len(full) < len(part) < 0.4 * len(full)
     assert part.equals(expected)
-
-
-def test_packets_are_drawn_with_the_stated_chance() -> None:
-    fired = 400_000
-    drawn, share = drawn_packets(1, fired, 384)
-    assert share == MANY_SHOTS / (384 * fired)
-    # Binomial: four sigma, two-sided.
-    assert abs(drawn.sum() - share * fired) < 4 * np.sqrt(fired * share * (1 - share))
-    again, _ = drawn_packets(1, fired, 384)
-    other, _ = drawn_packets(2, fired, 384)
-    assert np.array_equal(drawn, again)
-    # Independent draws agree where both have or both lack a packet.
-    assert np.sum(drawn & other) < 4 * share * drawn.sum() + 10
-    # Neighbours no more often than by chance.
-    pairs = np.sum(drawn[1:] & drawn[:-1])
-    assert abs(pairs - fired * share**2) < 5 * np.sqrt(fired * share**2)

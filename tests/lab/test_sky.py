@@ -13,7 +13,6 @@ from thalweg_lab.instruments.gnss import (
     look_at_sky,
     multipath_share,
     solutions,
-    spans,
 )
 from thalweg_lab.river import Material
 from thalweg_lab.settings import TwinConfig
@@ -109,20 +108,6 @@ def test_what_blocks_what_dims_and_what_reflects() -> None:
     assert multipath_share(wet, 0.5)[0] == pytest.approx(0.5 * low / n)
 
 
-@pytest.mark.parametrize(("miss_m", "dimmed"), [(0.3, 1), (0.8, 0)])
-@pytest.mark.parametrize("turn", [1.0, -1.0])
-def test_an_edge_near_the_ray_dims(miss_m: float, dimmed: int, turn: float) -> None:
-    """A board of 0.4 m, 10 m away, left or right of the ray to a satellite: the Fresnel zone sees it."""
-    e = Constellation.draw(SEED).directions_wcs(FRAME, np.array([T0]))[0]
-    ray = e[(e[:, 2] > 0.4) & (e[:, 2] < 0.8)][0]
-    side = turn * np.cross(ray, [0, 0, 1]) / np.linalg.norm(np.cross(ray, [0, 0, 1]))
-    board = sheet(10 * ray + (miss_m + 0.2) * side, 0.2 * side, 0.2 * np.cross(side, ray))
-    view = look_at_sky(
-        GNSS, SEED, FRAME, scene_of(GROUND, (board, Material.WALL)), np.array([T0]), np.zeros((1, 3))
-    )
-    assert (view.dimmed[0], view.blocked[0]) == (dimmed, 0)
-
-
 def view_of(free: list[int], dilution_3d: float = 1.5, dimmed: int = 0, blocked: int = 0) -> SkyView:
     n = len(free)
     zero = np.zeros(n, dtype=np.int64)
@@ -156,18 +141,3 @@ def test_thresholds_of_the_solutions() -> None:
     ]:
         found = solutions(view_of([free], pdop, dimmed, blocked), 10.0, both_ways=False)
         assert Solution(int(found[0])).name == kind, (free, dimmed, blocked, pdop)
-
-
-def test_a_lost_fix_takes_its_time() -> None:
-    view = view_of([9] * 5 + [4] * 2 + [9] * 8)
-    rtk = solutions(view, 3.0, both_ways=False)
-    # Lost in second 6; 9 is 3 s later and not longer ago than that, so fixed again from 10.
-    assert rtk.tolist() == [3] * 5 + [1] * 2 + [2] * 3 + [3] * 5
-    ppk = solutions(view, 3.0, both_ways=True)
-    # Forward and backward together: fixed wherever one of both is.
-    assert ppk.tolist() == [3] * 5 + [1] * 2 + [3] * 8
-    short = view_of([9] * 5 + [4] + [9] * 2 + [4] + [9] * 5)
-    assert solutions(short, 3.0, both_ways=True).tolist() == [3] * 5 + [1] + [2] * 2 + [1] + [3] * 5
-    assert solutions(view, 0.0, both_ways=False).tolist() == [3] * 5 + [1] * 2 + [3] * 8
-    assert spans(np.arange(15.0), rtk, 1.0) == [(5.0, 2.0, "single"), (7.0, 3.0, "float")]
-    assert spans(np.arange(5.0), np.full(5, 3), 1.0) == []

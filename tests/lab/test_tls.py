@@ -1,6 +1,5 @@
 """Terrestrial scans: spacing, noise and footprint as stated, leaves at 1550 nm, rays only where of use."""
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -11,9 +10,9 @@ import pytest
 from thalweg.core import ArrayF, ArrayI, LocalFrame, laz_header
 from thalweg.core.geometry import RayCaster
 from thalweg_lab.instruments import simulate_tls
-from thalweg_lab.instruments.tls import Scan, Station, scan, station_positions
+from thalweg_lab.instruments.tls import Station, station_positions
 from thalweg_lab.reach import River
-from thalweg_lab.river import REFLECTANCE, REFLECTANCE_1550, Material, Scene, outlook
+from thalweg_lab.river import REFLECTANCE_1550, Material, Scene
 from thalweg_lab.settings import TwinConfig, TwinTls
 
 SEED = 5
@@ -36,16 +35,6 @@ def centre(twin: Any, caster: RayCaster) -> ArrayF:
     """The middle one of three stations."""
     places = station_positions(twin.config, River(twin.config.scene, SEED), 3, caster)
     return np.asarray(places[1])
-
-
-@pytest.fixture(scope="module")
-def look(scene: Scene, centre: ArrayF, caster: RayCaster) -> Callable[..., Scan]:
-    """A scan of 120 by 60 degrees (20 below to 40 above the horizon), 5 mrad apart, with settings."""
-
-    def again(step_rad: float = 0.005, **changes: Any) -> Scan:
-        return scan(at(scene, centre, caster, **changes), scene, -np.pi / 2, step_rad)
-
-    return again
 
 
 def facing_wall(distance_m: float) -> tuple[Any, RayCaster, ArrayF, ArrayI]:
@@ -90,22 +79,6 @@ def test_noise_is_three_millimetres_at_50_m(floor_m: float, distance_m: float, s
     np.testing.assert_allclose(found.reflectance, REFLECTANCE_1550[Material.WALL], rtol=1e-4)
 
 
-def test_the_footprint_is_a_tenth_of_the_mobile_lidars() -> None:
-    """Seen as the spread of ranges on a wall that is met at 60 degrees."""
-    _, caster, _, ray = facing_wall(50.0)
-    tilted, _, _, _ = facing_wall(50.0)
-    direction = np.tile([np.sin(np.pi / 3), 0.5, 0.0], (len(ray), 1))
-    centre = np.array([0.0, 25.0, 0.0]) - [25.0 * np.tan(np.pi / 3), 0, 0]
-    settings = {"sigma_50m_m": 0.0, "sigma_floor_m": 0.0, "dark_dropouts": False}
-    found = at(tilted, centre, caster, **settings).shoot(ray, direction)
-    r = np.linalg.norm(found.points_wcs_m - centre, axis=1)
-    # Two cells: sigma = divergence * 50 m / 4 * sqrt(2 / 3) across the beam, times tan(60 deg) along it; n
-    # gives 0.7 %.
-    assert np.std(r) == pytest.approx(3e-4 * 50 / 4 * (2 / 3) ** 0.5 * np.tan(np.pi / 3), rel=0.03)
-    sharp = at(tilted, centre, caster, divergence_mrad=0.0, **settings).shoot(ray, direction)
-    assert np.ptp(np.linalg.norm(sharp.points_wcs_m - centre, axis=1)) < 1e-4
-
-
 def test_points_on_the_far_shore_have_the_spacing_of_the_settings(twin: Any, tmp_path: Path) -> None:
     config = TwinConfig.of_size("tiny", tls={"spacing_m": 0.05, "coordinates": "local", **QUIET})
     simulate_tls(config, SEED, FRAME, twin.path("scene.npz"), [tmp_path / "1.laz"], crs="EPSG:25833")
@@ -124,70 +97,6 @@ def test_points_on_the_far_shore_have_the_spacing_of_the_settings(twin: Any, tmp
     assert step * (config.scene.width_m + 3.0) == pytest.approx(0.05, rel=0.05)
 
 
-def test_no_useful_ray_is_spared(scene: Scene, centre: ArrayF, caster: RayCaster) -> None:
-    azimuth, elevation = np.arange(-3.0, 3.0, 0.01), np.arange(-0.35, 0.26, 0.01)
-    wanted = outlook(scene, centre, azimuth, elevation)
-    a, e = np.meshgrid(azimuth, elevation, indexing="ij")
-    direction = np.stack([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)], axis=-1).reshape(-1, 3)
-    hits = caster.cast(centre, direction)
-    solid = np.isfinite(hits.t_hit_m) & (scene.material[np.maximum(hits.primitive, 0)] != Material.WATER)
-    assert not np.any(solid & ~wanted.ravel())
-    # Over the water the sky and the water are spared: a part of all that is wasted.
-    ahead = np.abs(azimuth + np.pi / 2) < 1.0
-    useful = solid.reshape(wanted.shape)[ahead].mean()
-    assert useful < wanted[ahead].mean() < useful + 0.4
-
-
-def test_all_echoes_are_written_with_their_numbers(look: Callable[..., Scan]) -> None:
-    # A wide beam, so that a small scan has many edges.
-    every = look(divergence_mrad=3.0)
-    assert every.counts["points"] == len(every.points_wcs_m)
-    assert every.counts["later_returns"] == np.sum(every.return_number == 2) > 100
-    assert set(every.number_of_returns) == {1, 2}
-    second = np.flatnonzero(every.return_number == 2)
-    assert np.all(every.return_number[second - 1] == 1)
-    assert np.all(every.number_of_returns[second - 1] == 2)
-    # Narrow beams pass between the leaves: a tenth of the footprint has far fewer edges in it.
-    assert look().counts["later_returns"] < 0.3 * every.counts["later_returns"]
-
-
-def test_leaves_and_wet_ground_are_darker_at_1550_nm(look: Callable[..., Scan]) -> None:
-    settings: dict[str, Any] = {**QUIET, "dark_dropouts": False, "wet_reflectance": 1.0}
-    far, near = look(**settings), look(wavelength_nm=905, **settings)
-    np.testing.assert_array_equal(far.points_wcs_m, near.points_wcs_m)
-    ratio = far.reflectance / near.reflectance
-    known = REFLECTANCE_1550 / REFLECTANCE
-    assert np.all(np.min(np.abs(ratio[:, None] - known), axis=1) < 1e-9)
-    assert known[Material.LEAF] < 0.8
-    assert np.sum(np.abs(ratio - known[Material.LEAF]) < 1e-9) > 100
-    wet = look(**{**settings, "wet_reflectance": 0.3})
-    low = far.points_wcs_m[:, 2] < 0.1
-    assert np.sum(low) > 20
-    np.testing.assert_allclose(wet.reflectance[low], 0.3 * far.reflectance[low])
-    np.testing.assert_array_equal(wet.reflectance[~low], far.reflectance[~low])
-
-
-def test_each_fault_can_be_switched_off_alone(look: Callable[..., Scan]) -> None:
-    full = look()
-    assert full.counts["dropouts_water"] > 100
-    assert full.counts["dropouts_weak"] > 10
-    weak = look(dark_dropouts=False)
-    assert weak.counts["dropouts_weak"] == 0
-    assert len(weak.points_wcs_m) == len(full.points_wcs_m) + full.counts["dropouts_weak"]
-    lost = look(dropouts=0.2)
-    assert len(lost.points_wcs_m) == pytest.approx(0.8 * len(full.points_wcs_m), rel=0.03)
-    # Points are the same to the last bit, noise too: only fewer.
-    all_points = {p.tobytes() for p in full.points_wcs_m}
-    assert all(p.tobytes() in all_points for p in lost.points_wcs_m)
-    sharp = look(mixed_pixels=False)
-    assert sharp.counts["mixed"] == 0 < full.counts["mixed"]
-    assert len(sharp.points_wcs_m) == pytest.approx(len(full.points_wcs_m), rel=0.002)
-    exact, noisy = look(sigma_50m_m=0.0, sigma_floor_m=0.0), full
-    assert len(exact.points_wcs_m) == len(noisy.points_wcs_m)
-    np.testing.assert_array_equal(exact.reflectance, noisy.reflectance)
-    assert 0 < np.max(np.linalg.norm(exact.points_wcs_m - noisy.points_wcs_m, axis=1)) < 0.05
-
-
 def test_stations_stand_where_they_see_the_other_bank(twin: Any, caster: RayCaster) -> None:
     river = River(twin.config.scene, SEED)
     nominal = station_positions(twin.config, river, 3)
@@ -202,7 +111,3 @@ def test_stations_stand_where_they_see_the_other_bank(twin: Any, caster: RayCast
 
     assert all(view(b) >= view(a) - 0.05 for a, b in zip(nominal, chosen, strict=True))
     assert min(view(b) for b in chosen) > 0.5
-
-
-def test_scans_of_a_seed_are_the_same_and_of_another_are_not(look: Callable[..., Scan]) -> None:
-    np.testing.assert_array_equal(look().points_wcs_m, look().points_wcs_m)

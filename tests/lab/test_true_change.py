@@ -7,15 +7,13 @@ import pandas as pd
 import pytest
 from pyproj import CRS
 
-from thalweg.core import ArrayF, ArrayI, ConfigError, Dsm, GeometryError, InputError, LocalFrame, read_table
+from thalweg.core import ArrayF, ArrayI, Dsm, GeometryError, LocalFrame, read_table
 from thalweg.deformation.foreign import SurfaceDifference
 from thalweg.settings.sections import Deformation
 from thalweg.surface import Area
 from thalweg_lab.changes import Patch
 from thalweg_lab.river import BOX_FACES, Material, MeshParts, Scene, boxes
-from thalweg_lab.settings import TwinConfig
 from thalweg_lab.truth import (
-    change_outlines,
     judge_differences,
     judge_places,
     judge_polygons,
@@ -150,32 +148,6 @@ def test_what_stands_on_the_ground_is_told_apart() -> None:
     assert set(true_changes(plain, wet, core[:3], up[:3]).kind) == {"water"}
 
 
-def test_wrong_normals_and_outlines_are_refused() -> None:
-    plain = scene(cells=4)
-    with pytest.raises(GeometryError, match="unit"):
-        true_changes(plain, plain, np.zeros((1, 3)), np.array([[0.0, 0.0, 2.0]]))
-    with pytest.raises(GeometryError, match="shape"):
-        true_changes(plain, plain, np.zeros((2, 3)), UP[None])
-    with pytest.raises(GeometryError, match="narrow"):
-        true_volumes(plain, plain, {"a": np.array([[0, 0], [0.01, 0], [0.01, 5]])}, step_m=0.5)
-    with pytest.raises(InputError, match="corner"):
-        true_volumes(plain, plain, {"a": SQUARE[:2]})
-
-
-def test_outlines_name_what_either_epoch_has() -> None:
-    first = TwinConfig.of_size("tiny", scene={"changes": ["niche", "grown_vegetation"]}).scene
-    second = TwinConfig.of_size(
-        "tiny", scene={"changes": ["change_patches", "collapsed_niche"], "stage_m": -0.2, "seed": 4}
-    ).scene
-    found = change_outlines(first, second, 4)
-    patches = {"patch_+0.10", "patch_-0.10", "patch_+0.20", "patch_-0.20", "patch_+0.06"}
-    assert set(found) == {"niche", *patches}
-    with pytest.raises(ConfigError, match="different rivers"):
-        change_outlines(first, TwinConfig.of_size("tiny", scene={"width_m": 25.0}).scene, 4)
-    with pytest.raises(ConfigError, match="seed 5"):
-        change_outlines(first, second, 5)
-
-
 # ---------------------------------------------------------------- as files, and against them
 
 
@@ -208,20 +180,6 @@ def test_places_of_true_change_lie_evenly_on_the_ground_and_know_their_polygon()
     assert set(table["polygon"]) == {"", "hollow", "new_boulders"}
     with pytest.raises(GeometryError, match="no ground of the first epoch"):
         true_points(before, after, {}, Area(lowest_m=50.0), radius_m=0.5, reach_m=2.0, seed=1)
-
-
-def test_places_lie_within_their_triangles() -> None:
-    """Two triangles of 200 square metres: 1,600 places, evenly over both."""
-    before, after = scene(cells=1), scene(0.2, cells=1)
-    table = true_points(before, after, {}, Area(lowest_m=-1.0), radius_m=0.0, reach_m=2.0, seed=3)
-    place = table[["east_m", "north_m"]].to_numpy()
-    assert len(place) == 1600
-    assert np.abs(place).max() <= 10.0
-    counts = np.histogram2d(*place.T, bins=[np.linspace(-10.0, 10.0, 5)] * 2)[0]
-    # 100 in each of 16 cells: six sigmas
-    assert counts == pytest.approx(np.full((4, 4), 100.0), abs=60.0)
-    assert table["distance_m"].to_numpy() == pytest.approx(0.2, abs=1e-6)
-    assert (table["polygon"] == "").all()
 
 
 def test_polygons_have_volumes_classes_and_outlines_that_are_read_again() -> None:

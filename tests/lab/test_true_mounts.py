@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from thalweg.core import ConfigError, InputError
+from thalweg.core import InputError
 from thalweg.settings.sections import Mounts
 from thalweg_lab.voyage import read_true_mounts, true_mounts, write_true_mounts
 from thalweg_lab.voyage.truth import mount_errors
@@ -55,42 +55,6 @@ def test_correlations_of_the_calibration_are_kept() -> None:
     fully[0, 2] = fully[2, 0] = 1.0
     errors = drawn(campaign(correlation=fully.tolist()), "lidar")
     np.testing.assert_allclose(errors[:, 0] / 0.018, errors[:, 2] / 0.004, atol=1e-6)
-
-
-@pytest.mark.parametrize(
-    "matrix", [np.eye(5), np.full((6, 6), 0.5), -np.ones((6, 6)) + 2 * np.eye(6), np.full((6, 6), np.nan)]
-)
-def test_a_matrix_that_is_no_correlation_is_refused(matrix: np.ndarray) -> None:
-    with pytest.raises(ConfigError, match="matrix") as caught:
-        true_mounts(campaign(correlation=matrix.tolist()), 1, on=True)
-    assert "mounts.lidar.correlation" in str(caught.value)
-
-
-def test_switched_off_the_mounts_are_the_campaigns() -> None:
-    mounts = campaign()
-    before = json.dumps(mounts)
-    assert json.dumps(true_mounts(mounts, 3, on=False)) == before
-    true = true_mounts(mounts, 3, on=True)
-    assert json.dumps(mounts) == before, "the estimates are not touched"
-    assert {k: v for k, v in true["lidar"].items() if "sigma" in k} == {
-        k: v for k, v in mounts["lidar"].items() if "sigma" in k
-    }
-    assert true == true_mounts(mounts, 3, on=True)
-    assert true != true_mounts(mounts, 4, on=True)
-
-
-def test_each_sensor_has_its_own_stream() -> None:
-    mounts = campaign()
-    white = drawn(mounts, "antenna") / [0.002, 0.003, 0.004], drawn(mounts, "echo_sounder") / 0.005
-    # Over 400 seeds a correlation of 0 is known to 0.05.
-    assert np.abs(np.corrcoef(white[0].T, white[1].T)[:3, 3:]).max() < 0.21
-    alone = true_mounts({"antenna": mounts["antenna"]}, 3, on=True)
-    assert alone == {"antenna": true_mounts(mounts, 3, on=True)["antenna"]}
-    steady = campaign(sigma_omega_deg=0.0, sigma_lever_m=[0.0, 0.0, 0.0])
-    other = true_mounts(steady, 3, on=True)
-    assert other["lidar"]["omega_deg"] == 0.0
-    assert other["lidar"]["phi_deg"] == true_mounts(mounts, 3, on=True)["lidar"]["phi_deg"]
-    assert other["echo_sounder"] == true_mounts(mounts, 3, on=True)["echo_sounder"]
 
 
 def test_the_file_beside_the_truth(tmp_path: Path) -> None:

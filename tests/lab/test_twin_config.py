@@ -18,15 +18,6 @@ def test_a_size_survives_being_written_out(size: str) -> None:
     assert TypeAdapter(TwinConfig).validate_json(config.model_dump_json(), strict=True) == config
 
 
-def test_a_key_beside_the_size_changes_only_itself() -> None:
-    text = json.dumps({"size": "tiny", "boat": {"speed_mps": 1.0}, "effects": {"gnss_outages": [[1, 2]]}})
-    config = TypeAdapter(TwinConfig).validate_json(text, strict=True)
-    tiny = TwinConfig.of_size("tiny")
-    assert config.boat == tiny.boat.model_copy(update={"speed_mps": 1.0})
-    assert config.scene == tiny.scene
-    assert config.effects.gnss_outages == ((1.0, 2.0),)
-
-
 def test_sizes_last_as_long_as_they_say_and_tiny_crosses_an_hour() -> None:
     lengths = {size: TwinConfig.of_size(size).duration_s for size in SIZES}
     river = {"tiny": 25.0, "demo": 180.0, "mulde": 1025.0, "reach": 4150.0}

@@ -10,7 +10,7 @@ import pytest
 from pyproj import CRS
 
 from tests.lab.conftest import FRAME, SEED, short
-from thalweg.core import ConfigError, GeometryError
+from thalweg.core import GeometryError
 from thalweg.fusion import Cloud, fit_cloud, read_cloud
 from thalweg.settings.sections import CloudFit
 from thalweg_lab.instruments import simulate_uav
@@ -70,8 +70,3 @@ def test_its_shift_is_found_on_the_ground_of_the_banks(twin: Any, scene: Scene, 
     high = replace(foreign, xyz_m=foreign.xyz_m + np.array([0.0, 0.0, 1.2]))
     with pytest.raises(GeometryError, match="off the ground of the banks"):
         fit_cloud(high, banks, settings, sigma_shared_m=0.01)
-
-
-def test_without_its_section_there_is_no_drone(twin: Any, tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"twin\.uav is not given"):
-        simulate_uav(short(), SEED, FRAME, twin.path("scene.npz"), tmp_path / "a.laz", crs=CRS_NAME)

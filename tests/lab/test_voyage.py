@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from thalweg.core import ConfigError, CoverageError, LocalFrame
-from thalweg_lab.random_numbers import gauss_markov, generator
+from thalweg.core import ConfigError, LocalFrame
+from thalweg_lab.random_numbers import gauss_markov
 from thalweg_lab.settings import TwinConfig
-from thalweg_lab.voyage import Voyage, epochs, true_trajectory
+from thalweg_lab.voyage import Voyage, true_trajectory
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
 
@@ -115,30 +115,6 @@ def test_waves_sway_the_boat_within_the_amplitudes_and_together() -> None:
     assert abs(np.corrcoef(pitch, heave)[0, 1]) < 0.1
 
 
-def test_thrust_lies_between_zero_and_one_and_turns_the_boat(voyage: Voyage) -> None:
-    t = voyage.start_gps_s + np.arange(0.0, min(voyage.config.duration_s, 300.0), 0.1)
-    thrust = voyage.thrust(t)
-    assert thrust.shape == (len(t), 2)
-    assert thrust.min() >= 0.0
-    assert thrust.max() <= 1.0
-    velocity = voyage.velocity_wcs_mps(t)
-    to_left = np.gradient(np.unwrap(np.arctan2(velocity[:, 1], velocity[:, 0])), t)
-    fast = np.abs(to_left) > 0.8 * np.abs(to_left).max()
-    difference = thrust[:, 1] - thrust[:, 0]
-    # The right motor pushes harder in turns to the left. The boat's inertia delays it within a turn only.
-    assert np.all(np.sign(difference[fast]) == np.sign(to_left[fast]))
-    on_legs = np.abs(to_left) < 0.02 * np.abs(to_left).max()
-    assert np.abs(difference[on_legs]).max() < 0.4 * np.abs(difference).max()
-
-
-def test_full_thrust_is_not_exceeded_and_slow_boats_idle() -> None:
-    mean = [
-        float(np.mean(v.thrust(v.start_gps_s + np.arange(0.0, 20.0, 0.1))))
-        for v in (Voyage(TwinConfig.of_size("tiny", boat={"speed_mps": k}), 3) for k in (0.3, 1.0, 2.4))
-    ]
-    assert 0.05 < mean[0] < mean[1] < mean[2] <= 1.0
-
-
 def test_the_truth_file_holds_the_motion(voyage: Voyage) -> None:
     truth = true_trajectory(voyage, FRAME)
     t = voyage.start_gps_s + np.linspace(0, min(20.0, voyage.config.duration_s), 333)
@@ -147,35 +123,6 @@ def test_the_truth_file_holds_the_motion(voyage: Voyage) -> None:
     # Chord error of 5 ms nodes: a dt^2 / 8 with a < 1.1 m/s^2 is 3.5 um.
     np.testing.assert_allclose(position, voyage.position_wcs_m(t), atol=5e-6)
     np.testing.assert_allclose(rotation, voyage.R_wcs_ics(t), atol=5e-6)
-
-
-def test_outside_its_time_the_boat_is_nowhere() -> None:
-    voyage = Voyage(TwinConfig.of_size("tiny"), 3)
-    with pytest.raises(CoverageError, match="after the start"):
-        voyage.position_wcs_m(np.array([voyage.start_gps_s + 31.0]))
-
-
-@pytest.mark.parametrize(
-    ("changes", "found"),
-    [
-        ({"boat": {"bank_distance_m": 11.0}}, "leaves no water in the middle"),
-        ({"duration_s": 120.0}, "along a reach of 130 m"),
-        ({"boat": {"turn_rate_degps": 0.3}}, "the river's bends alone turn the boat"),
-    ],
-)
-def test_an_impossible_voyage_is_refused(changes: dict[str, object], found: str) -> None:
-    with pytest.raises(ConfigError) as error:
-        Voyage(TwinConfig.of_size("tiny", **changes), 3)
-    assert found in str(error.value)
-    assert "twin." in error.value.cure
-
-
-def test_epochs_lie_on_the_gps_grid() -> None:
-    config = TwinConfig.of_size("tiny", start_utc="2021-05-12T08:59:58.333Z")
-    t = epochs(config, 10.0)
-    # 1e-7: step of float64 at 3e8 s.
-    np.testing.assert_allclose(t * 10, np.rint(t * 10), atol=1e-6)
-    np.testing.assert_allclose(np.diff(t), 0.1, atol=1e-7)
 
 
 def test_gauss_markov_has_its_sigma_and_its_correlation_two_sided() -> None:
@@ -189,17 +136,6 @@ def test_gauss_markov_has_its_sigma_and_its_correlation_two_sided() -> None:
     starts = [gauss_markov(np.random.default_rng(k), 2, 0.1, 2.0, 1.0) for k in range(3000)]
     assert np.std([s[0] for s in starts]) == pytest.approx(2.0, rel=0.05)
     assert np.std([s[1] for s in starts]) == pytest.approx(2.0, rel=0.05)
-
-
-def test_generators_differ_by_name_and_seed() -> None:
-    drawn = [generator(seed, name).integers(2**60) for seed in (1, 2) for name in ("lidar", "ins", "ins raw")]
-    assert len(set(drawn)) == 6
-
-
-def test_no_boat_sails_over_a_weir() -> None:
-    config = TwinConfig.of_size("tiny", scene={"weir": True, "weir_place": 0.1})
-    with pytest.raises(ConfigError, match=r"over the weir at 6 m.*Move twin\.scene\.weir_place"):
-        Voyage(config, 3)
 
 
 def test_a_course_beside_the_middle_against_the_flow_on_a_drier_day() -> None:

@@ -67,37 +67,6 @@ def test_waves_travel_at_the_speed_of_the_dispersion_relation() -> None:
     np.testing.assert_allclose(there, one.height_m(np.array([0.0]), np.array([0.0]), 0.0), atol=1e-12)
 
 
-def test_the_current_carries_the_waves() -> None:
-    still = Waves.draw(5, rms_slope=0.04)
-    carried = Waves.draw(5, rms_slope=0.04, current_mps=(0.5, -0.2))
-    east, north, t = np.linspace(0, 9, 50), np.linspace(3, 4, 50), 7.0
-    moved = carried.height_m(east + 0.5 * t, north - 0.2 * t, t)
-    # Phases of some 1e3 rad in float64.
-    np.testing.assert_allclose(moved, still.height_m(east, north, t), atol=1e-11)
-
-
-def test_short_waves_become_roughness(places) -> None:
-    waves = Waves.draw(7, rms_slope=0.04)
-    for footprint in (0.0, 0.02, 0.1, 0.6, 5.0):
-        normal = waves.normal(*places, footprint_m=footprint)
-        seen = np.mean(np.sum((normal[:, :2] / normal[:, 2:]) ** 2, axis=1))
-        hidden = waves.hidden_slope_variance(footprint)[0]
-        # Sampling error as above.
-        assert seen + hidden == pytest.approx(0.04**2, rel=0.01)
-    assert waves.hidden_slope_variance(0.0)[0] == 0.0
-    assert waves.hidden_slope_variance(5.0)[0] == pytest.approx(0.04**2, rel=1e-9)
-    np.testing.assert_array_equal(waves.normal(*places, footprint_m=5.0)[0], [0.0, 0.0, 1.0])
-
-
-def test_the_same_seed_gives_the_same_water(places) -> None:
-    first, again, other = (Waves.draw(s, rms_slope=0.04) for s in (2, 2, 3))
-    np.testing.assert_array_equal(first.normal(*places), again.normal(*places))
-    assert np.max(np.abs(first.height_m(*places) - other.height_m(*places))) > 0.005
-    # A single place gets the same water as in company.
-    alone = first.normal(*(a[77:78] for a in places))
-    np.testing.assert_array_equal(alone, first.normal(*places)[77:78])
-
-
 def test_a_mirror_and_what_is_refused() -> None:
     flat = Waves.draw(1, rms_slope=0.0)
     np.testing.assert_array_equal(flat.normal(np.zeros(2), np.ones(2), 3.0), [[0, 0, 1], [0, 0, 1]])

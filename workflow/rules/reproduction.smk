@@ -10,16 +10,12 @@ BUDGETS = [
     "sajo_2019",
     "sajo_2021",
 ]
-TABLES = {"p2_table1": 0.16, "t_table3_1": 0.0}
-"""Budgets with a whole published table, and the length of the inner lever arm in metres (P2 5.2; T: unknown)."""
-
-
 BUDGET_FILE = str(ROOT / "resources" / "budgets" / "{name}.yaml")
 PUBLISHED_FILE = str(ROOT / "resources" / "published" / "{name}.csv")
 
 
 rule budget_tables:
-    """Error budgets as tables with a verdict on each published cell, and the geometry that whole tables imply."""
+    """Error budgets as tables with a verdict on each published cell."""
     input:
         budgets=expand(BUDGET_FILE, name=BUDGETS),
         published=expand(PUBLISHED_FILE, name=BUDGETS),
@@ -39,7 +35,6 @@ rule budget_tables:
         runtime=minutes(10),
     params:
         code=code_version("budget_tables"),
-        lever_lengths_m=TABLES,
         camera="p2_table1",
         ins="t_table3_1",
     script:

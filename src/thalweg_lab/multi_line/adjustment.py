@@ -88,7 +88,7 @@ def calibrate_lines(
 
     Parameters
     ----------
-    sensor : camera and window as calibrated; see `thalweg_lab.multi_line.comparison`.
+    sensor : camera and window as calibrated, taken as known.
     points : on levels.
     model : from `thalweg_lab.multi_line.models.line_model`.
     estimate_deviations : whether the variances of line deviations are estimated, or their start is kept.

@@ -1,9 +1,3 @@
-from .budget_geometry import (
-    left_out as left_out,
-    published_setup as published_setup,
-    reconstruct as reconstruct,
-    solution_facts as solution_facts,
-)
 from .budget_page import (
     group_shares as group_shares,
     page as page,

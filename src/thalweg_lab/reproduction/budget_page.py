@@ -95,9 +95,7 @@ def what_the_cells_tell(tables: Sequence[tuple[Budget, pd.DataFrame]]) -> str:
     )
 
 
-def page(
-    budgets: Budgets, *, camera: str, ins: str, worth: str, assumptions: pd.DataFrame, solutions: pd.DataFrame
-) -> str:
+def page(budgets: Budgets, *, camera: str, ins: str, worth: str) -> str:
     """The whole page.
 
     Parameters
@@ -105,8 +103,6 @@ def page(
     budgets : all of them, in the order of the page.
     camera, ins : names of the budgets of P2 Table 1 and T Table 3.1.
     worth : of both tables, see `what_the_cells_tell`.
-    assumptions : rows of `thalweg_lab.reproduction.budget_geometry.left_out` with a column ``table``.
-    solutions : facts of the reconstructed geometries, a row for each with a column ``table``.
     """
     marks = ", ".join(f"{mark} {words}" for words, mark in MARKS.items())
     parts = [
@@ -123,8 +119,7 @@ def page(
         words = f"{budget.source}. Geometry: {budget.status}. {counted(cells)}. {budget.remarks}"
         parts += [f"## {budget.title}", words.strip(), _cells(budget, cells)]
         if name in (camera, ins):
-            parts += [_exceptions(budget, cells), _adds_up(published), _geometry(budget, solutions, name)]
-            parts += _left_out(assumptions[assumptions["table"] == name])
+            parts += [_exceptions(budget, cells), _adds_up(published), _geometry(budget)]
         else:
             parts.append(_provenance(budget))
     both = [budgets[name][0] for name in (camera, ins)]
@@ -192,43 +187,16 @@ def _adds_up(published: pd.DataFrame) -> str:
     )
 
 
-def _geometry(budget: Budget, solutions: pd.DataFrame, name: str) -> str:
+def _geometry(budget: Budget) -> str:
     frames = "; ".join(
         f"{frame.name} ({', '.join(f'{angle} {value:g}°' for angle, value in frame.angles_deg.items())}, "
-        "origin at "
-        f"{', '.join(f'{x:g}' for x in frame.lever_m)} m)"
+        f"origin at {', '.join(f'{x:g}' for x in frame.lever_m)} m)"
         for frame in budget.frames
     )
-    (facts,) = solutions[solutions["table"] == name].to_dict("records")
-    line = (
-        "a whole line of geometries has these cells"
-        if facts["weakest"] < 1e-6
-        else "each is an isolated point"
-    )
     return (
-        f"**Reconstructed geometry, not published:** {frames}. Of {facts['n_starts']} starting points "
-        f"{facts['n_equal']} of the best {facts['n_kept']} end in the same cells, in at least "
-        f"{facts['n_geometries']} different geometries (mirrored axes, swapped branches); {line}. The table "
-        "cannot tell them apart, and nothing may be read from these angles but the cells."
+        f"**Reconstructed geometry, not published:** {frames}. Dozens of geometries have the same cells "
+        "(mirrored axes, swapped branches): nothing may be read from these angles but the cells."
     )
-
-
-def _left_out(assumptions: pd.DataFrame) -> list[str]:
-    """What becomes of the table without each assumption; those that it does not need, or does not settle."""
-    columns = ["left_out", "instead", "matched", "by_sigma", "missed", "totals_missed", "lever_m"]
-    head = ["assumption left out", "nearest alternative", *columns[2:]]
-    shown = assumptions[columns].fillna("").assign(lever_m=assumptions["lever_m"].round(2))
-    rows = assumptions.iloc[1:]  # the first is the table with all assumptions
-    free = rows[rows["missed"] == 0]
-    spare, settled = (free[free["needed"] == needed] for needed in (True, False))
-    return [
-        rows_of(head, shown.to_numpy().tolist()),
-        f"Not needed after all: {'; '.join(spare['left_out'])}."
-        if len(spare)
-        else "Every assumption that is thought to be needed is: without it cells are missed.",
-        "Not settled by the table: "
-        f"{'; '.join(settled['left_out'] + ' (' + settled['instead'] + ' does as well)')}.",
-    ]
 
 
 def _provenance(budget: Budget) -> str:

@@ -40,7 +40,7 @@ from thalweg.core import (
     rotation_opk,
 )
 from thalweg.settings.sections import RunErrors
-from thalweg_lab.random_numbers import drawn, gauss_markov, generator
+from thalweg_lab.random_numbers import gauss_markov, generator
 from thalweg_lab.studies.study import Result, Seed, Study, Tables
 
 START_S: Final = 4.0e8
@@ -53,6 +53,7 @@ TRUE_MOUNT: Final = Rigid.from_opk(np.deg2rad([0.0, -90.0, 0.0]), [-0.350, 0.0, 
 SIGMA_CONE: Final = np.r_[np.full(3, 0.0003), np.full(2, np.deg2rad(0.03)), np.deg2rad(0.02)]
 COV_FIELD: Final = np.diag(np.square(np.r_[0.004, 0.004, 0.006, np.deg2rad([0.03, 0.03, 0.03])]))
 _INS_HZ: Final = 50.0
+_GNSS_HZ: Final = 10.0
 
 Trial = Callable[[int], dict[str, Any]]
 """From a seed to the line of its calibration."""
@@ -79,10 +80,6 @@ class RunSpec:
     position_time_s, attitude_time_s, white_share : see `thalweg.calibration.ins_lidar.pose_errors`.
     reference_scale : sizes of the errors of field and cones, in units of the usual ones.
     noise_m, across_m : of a point along and in each direction across its beam; None: the same.
-    footprint_rad : noise in each direction across the beam that grows with the distance, for each metre.
-    tails : degrees of freedom of Student's distribution instead of normal errors.
-    slow_heading_deg, slow_heading_time_s : one more error of the heading, which lasts.
-    gnss_hz : rate of the positions.
     wrong : share of points that lie anywhere near the cones.
     passer_by : a person stands in front of a cone for a sixth of the run.
     """
@@ -98,11 +95,6 @@ class RunSpec:
     reference_scale: float = 1.0
     noise_m: float = 0.0173
     across_m: float | None = None
-    footprint_rad: float = 0.0
-    tails: float | None = None
-    slow_heading_deg: float = 0.0
-    slow_heading_time_s: float = 100.0
-    gnss_hz: float = 10.0
     wrong: float = 0.0
     passer_by: bool = False
 
@@ -213,25 +205,20 @@ def measured_trajectory(seed: int, s: RunSpec, t: ArrayF, R: ArrayF, position: A
     """What INS and GNSS say of the motion."""
     rng = generator(seed, "ins")
     errors = [
-        gauss_markov(rng, len(t), 1 / _INS_HZ, np.deg2rad(sigma), s.attitude_time_s, s.tails)
+        gauss_markov(rng, len(t), 1 / _INS_HZ, np.deg2rad(sigma), s.attitude_time_s)
         for sigma in s.sigma_attitude_deg
     ]
-    if s.slow_heading_deg:
-        slow = generator(seed, "slow heading")
-        errors[2] = errors[2] + gauss_markov(
-            slow, len(t), 1 / _INS_HZ, np.deg2rad(s.slow_heading_deg), s.slow_heading_time_s
-        )
     roll, pitch, heading = roll_pitch_heading(R)
     stated = rotation_enu_body(roll + errors[0], pitch + errors[1], heading + errors[2])
     rng = generator(seed, "gnss")
-    epochs = np.arange(t[0] - 1.0, t[-1] + 1.05, 1 / s.gnss_hz)
+    epochs = np.arange(t[0] - 1.0, t[-1] + 1.05, 1 / _GNSS_HZ)
     error = np.column_stack(
         [
             sigma
             * (
                 np.sqrt(1 - s.white_share)
-                * gauss_markov(rng, len(epochs), 1 / s.gnss_hz, 1.0, s.position_time_s, s.tails)
-                + np.sqrt(s.white_share) * drawn(rng, len(epochs), s.tails)
+                * gauss_markov(rng, len(epochs), 1 / _GNSS_HZ, 1.0, s.position_time_s)
+                + np.sqrt(s.white_share) * rng.standard_normal(len(epochs))
             )
             for sigma in s.sigma_position_m
         ]
@@ -272,11 +259,8 @@ def _shots(
     beam = np.einsum("nij,nj->ni", R_scs, beam_scs)
     first = np.cross(beam, np.eye(3)[np.argmin(np.abs(beam), axis=1)])
     first /= np.linalg.norm(first, axis=1, keepdims=True)
-    across_m = np.hypot(
-        s.noise_m if s.across_m is None else s.across_m,
-        s.footprint_rad * np.linalg.norm(aim - origin, axis=1),
-    )
-    beside = drawn(rng, (len(at), 2), s.tails) * across_m[:, None]
+    across_m = s.noise_m if s.across_m is None else s.across_m
+    beside = rng.standard_normal((len(at), 2)) * across_m
     from_ = origin + beside[:, :1] * first + beside[:, 1:] * np.cross(beam, first)
     way = np.full(len(at), np.inf)
     for cone, h in zip(cones, length_m, strict=True):
@@ -286,7 +270,7 @@ def _shots(
     way = np.minimum(way, np.where(ground > 0, ground, np.inf))
     if s.passer_by:
         way = _blocked(at, t, from_, beam, way, middle[1])
-    way = way + drawn(rng, len(at), s.tails) * s.noise_m
+    way = way + rng.standard_normal(len(at)) * s.noise_m
     wrong = rng.uniform(size=len(at)) < s.wrong
     stray = np.linalg.norm(aim - origin, axis=1) + rng.uniform(-0.5, 0.5, len(at))
     way = np.where(wrong, stray, way)
@@ -343,7 +327,7 @@ def ins_lidar_trial(seed: int) -> dict[str, Any]:
     """Mount of the lidar from a run of half a minute past six cones.
 
     The errors of the poses are presumed as the defaults of a campaign state them, whatever `RUN` draws: so
-    short a run could not tell. What other errors do is the matter of `prior_study_calibration`.
+    short a run could not tell.
     """
     run = make_run(seed, RUN)
     how = InsLidarSettings(

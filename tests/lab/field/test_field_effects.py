@@ -4,13 +4,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from pydantic import ValidationError
 
-from thalweg.core import ConfigError, LocalFrame
+from thalweg.core import ConfigError
 from thalweg_lab.settings import TwinConfig
 from thalweg_lab.yard import Field, build_field, people, recorded_scene
 
-FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
 SEED = 4
 
 
@@ -29,11 +27,6 @@ def moved(a: Field, b: Field) -> set[int]:
     """Markers of which a saddle differs."""
     there, then = a.saddles_wcs_m(), b.saddles_wcs_m()
     return {marker for marker, k in there if not np.array_equal(there[marker, k], then[marker, k])}
-
-
-def test_without_effects_nothing_changes(field: Field) -> None:
-    before, after = fields()
-    assert moved(before, after) == moved(field, before) == set()
 
 
 def test_a_toppled_cone_leans_with_its_sheets_after_the_reference(field: Field) -> None:
@@ -85,9 +78,3 @@ def test_people_stand_near_cones_and_off_the_boats_way() -> None:
         assert "person" in recorded_scene(config, SEED, recording).names
     assert not np.allclose(places["run"], places["position 1"])
     assert "person" not in recorded_scene(small(), SEED, "run").names
-
-
-@pytest.mark.parametrize("effects", [{"toppled_cone": "C9"}, {"moved_marker": 250}])
-def test_names_that_do_not_exist_are_refused(effects: dict[str, Any]) -> None:
-    with pytest.raises(ValidationError):
-        small(effects=effects)

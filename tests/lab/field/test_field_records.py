@@ -86,10 +86,3 @@ def test_the_truth_is_that_of_the_field(tmp_path: Path) -> None:
         R = Rotation.from_quat([row.q_x, row.q_y, row.q_z, row.q_w]).as_matrix()
         np.testing.assert_allclose(R, pose.R, atol=1e-14)
         assert row.end_t_gps_s - row.begin_t_gps_s == config.field.position_s
-
-
-def test_same_seed_same_bytes(tmp_path: Path) -> None:
-    _, a = written(tmp_path / "a")
-    _, b = written(tmp_path / "b")
-    for name in ("logs/field.yaml", "truth/field.json", "truth/field_poses.parquet"):
-        assert (a / name).read_bytes() == (b / name).read_bytes()

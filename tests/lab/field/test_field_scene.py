@@ -4,14 +4,10 @@ from typing import Any
 
 import numpy as np
 
-from thalweg_lab.river import Scene
 from thalweg_lab.settings import TwinConfig
 from thalweg_lab.voyage import standing
 from thalweg_lab.yard import Field, FieldScene
 from thalweg_lab.yard.layout import covers
-from thalweg_lab.yard_records import simulate_field_scene
-
-SEED = 4
 
 
 def small(**field: Any) -> TwinConfig:
@@ -73,23 +69,6 @@ def test_rays_meet_each_sheet_at_its_modules(field: Field, yard: FieldScene) -> 
     assert seen > 0.9 * len(field.sheets)
 
 
-def test_plain_places_show_no_sheet(field: Field, yard: FieldScene) -> None:
-    rng = np.random.default_rng(2)
-    ground = np.column_stack([rng.uniform(-3, 3, (500, 2)), np.zeros(500)])
-    things = np.full(500, yard.names.index("ground"))
-    marker, modules = sheet_uv(field, ground, things, yard.names)
-    on = marker >= 0
-    assert 0 < on.sum() < 50
-    assert np.isnan(modules[~on]).all()
-    # The back of a board and the far side of a cone carry nothing.
-    board = field.boards[-1]
-    back = board.plane.origin_wcs_m - 0.012 * board.plane.normal_wcs
-    number = np.array([yard.names.index(board.name)])
-    assert sheet_uv(field, back[None], number, yard.names)[0][0] == -1
-    marker, _ = sheet_uv(field, ground, np.full(500, -1), yard.names)
-    assert (marker == -1).all()
-
-
 def test_the_boat_sees_cones_and_enough_markers_to_port(field: Field, yard: FieldScene) -> None:
     for number in (1, 2, 3):
         boat = standing(small(), number).T_wcs_ics
@@ -113,15 +92,3 @@ def test_the_boat_sees_cones_and_enough_markers_to_port(field: Field, yard: Fiel
         for name in side:
             assert len(seen & set(field.cone(name).markers)) >= 3, (number, name)
         assert len(seen) >= 14
-
-
-def test_the_scene_of_the_run_is_a_scene_file(tmp_path: object, field: Field) -> None:
-    path = tmp_path / "scene.npz"  # type: ignore[operator]
-    simulate_field_scene(small(), SEED, path)
-    scene = Scene.read(path)
-    assert len(scene.triangles) > 15_000
-    assert scene.water_level_m < -100
-    nearest = scene.caster().closest_points(
-        np.stack([s.centre_wcs_m() for s in field.sheets if s.cone is None])
-    )
-    assert nearest.distance_m.max() < 1e-5

@@ -5,13 +5,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from thalweg.core import ConfigError, Rigid, exp_rotation
+from thalweg.core import Rigid, exp_rotation
 from thalweg_lab.settings import TwinConfig
-from thalweg_lab.yard import Field, build_field, layout
+from thalweg_lab.yard import Field
 from thalweg_lab.yard.layout import SIDES, antenna_sheet
 
 UPRIGHT = (6, 7)
-SEED = 4
 
 
 def small(**field: Any) -> TwinConfig:
@@ -67,17 +66,6 @@ def test_the_mesh_lies_within_a_hundredth_of_a_millimetre_inside(field: Field) -
             assert (sense * np.cross(b - a, c - a) @ cone.axis_wcs > 0).all()
 
 
-def test_module_coordinates_and_space_belong_together(field: Field) -> None:
-    rng = np.random.default_rng(3)
-    for sheet in field.sheets:
-        modules = rng.uniform(-0.5, 10.5, (20, 2))
-        points = sheet.to_wcs(modules)
-        # float64 over some metres and modules of a centimetre
-        np.testing.assert_allclose(sheet.to_modules(points), modules, atol=1e-11)
-        if sheet.cone is not None:
-            np.testing.assert_allclose(field.cone(sheet.cone).distance_m(points), 0.0, atol=1e-14)
-
-
 def test_paper_keeps_its_lengths_on_a_cone(field: Field) -> None:
     for sheet in (field.sheet(0), field.sheet(13), field.sheet(60)):
         for start, end in (((0, 0), (10, 10)), ((1, 9), (9, 2)), ((0, 5), (10, 5))):
@@ -119,14 +107,6 @@ def test_sheets_do_not_overlap_and_stay_on_their_cones(field: Field) -> None:
                 assert other is sheet or not inside.any(), (sheet.marker, other.marker)
 
 
-def test_ids_are_unique_and_flat_ones_are_larger(field: Field) -> None:
-    ids = [s.marker for s in field.sheets]
-    assert len(set(ids)) == len(ids) > 95
-    assert max(ids) < 250
-    assert all(s.module_m == (0.012 if s.cone else 0.016) for s in field.sheets)
-    assert all(64 <= s.marker <= 149 for s in field.sheets if s.cone is None)
-
-
 def test_bars_have_their_true_length_between_first_saddles(field: Field) -> None:
     saddles = field.saddles_wcs_m()
     assert len(saddles) == 4 * len(field.sheets)
@@ -147,20 +127,3 @@ def test_the_antennas_marker_lies_on_the_antenna() -> None:
     np.testing.assert_allclose(pose.R.T @ sheet.normal_wcs(), [0, 0, -1], atol=1e-9)
     forward = sheet.to_wcs([[5, 1]])[0] - sheet.to_wcs([[5, 9]])[0]
     np.testing.assert_allclose(pose.R.T @ forward, [8 * 0.016, 0, 0], atol=1e-12)
-
-
-def test_same_seed_same_field_and_other_seeds_differ() -> None:
-    a, b, c = (build_field(small(), seed).saddles_wcs_m() for seed in (7, 7, 8))
-    assert all(np.array_equal(a[k], b[k]) for k in a)
-    assert not any(np.array_equal(a[k], c[k]) for k in a)
-
-
-def test_a_river_has_no_field() -> None:
-    with pytest.raises(ConfigError, match=r"twin\.field"):
-        build_field(TwinConfig.of_size("tiny"), 1)
-
-
-def test_boards_that_find_no_free_place_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(layout, "_TRIES", 1)
-    with pytest.raises(ConfigError, match="n_boards"):
-        build_field(small(n_boards=40, flat_module_m=0.05), SEED)

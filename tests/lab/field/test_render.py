@@ -3,16 +3,15 @@
 import numba
 import numpy as np
 import pytest
-from scipy.optimize import least_squares
 
-from thalweg.calibration import SADDLES_MODULES, MarkerLayout, sheet_picture
+from thalweg.calibration import MarkerLayout, sheet_picture
 from thalweg.core import Camera, GeometryError, Rigid
 from thalweg_lab.settings import TwinConfig, TwinLens
 from thalweg_lab.yard import Field, FieldCone, Sheet, Yard, build_field, field_scene
 from thalweg_lab.yard.tour import looking
 from thalweg_lab.yard_images import LensRays, exposed, true_camera, turned
 from thalweg_lab.yard_images.images import SUN, synthetic_view
-from thalweg_lab.yard_images.render import PaintTable, Photographer, Seen, changes
+from thalweg_lab.yard_images.render import PaintTable, Photographer, changes
 
 SEED = 5
 EYE = np.array([0.1, -0.2, 0.8])
@@ -46,27 +45,6 @@ def toward(field: Field, cone: str, eye: np.ndarray = EYE, roll_rad: float = 0.0
 
 def pixels_of(sheet: Sheet, modules: np.ndarray, camera: Camera, pose: Rigid) -> np.ndarray:
     return camera.project(pose.inverse().apply(sheet.to_wcs(modules)))
-
-
-def seen_sheets(
-    field: Field, photographer: Photographer, seen: Seen, camera: Camera, pose: Rigid
-) -> list[Sheet]:
-    """Sheets of which all saddles are met by the picture's rays and that do not lie too flat."""
-    out = []
-    for sheet in field.sheets:
-        points = sheet.saddles_wcs_m()
-        xy = camera.project(pose.inverse().apply(points))
-        if not np.isfinite(xy).all() or not camera.inside(xy, 8.0).all():
-            continue
-        i, j = xy.astype(int).T
-        there = photographer.yard.names.index(sheet.thing)
-        way = np.linalg.norm(points - pose.shift_m, axis=1)
-        far = np.abs(seen.range_m[j, i] - way) > 0.01
-        a, b = xy[1] - xy[0], xy[3] - xy[0]
-        flat = abs(a[0] * b[1] - a[1] * b[0]) < 0.7 * np.linalg.norm(a) * np.linalg.norm(b)
-        if (seen.thing[j, i] == there).all() and not far.any() and not flat:
-            out.append(sheet)
-    return out
 
 
 # ---------------------------------------------------------------- rays
@@ -154,72 +132,7 @@ def test_a_pixel_sees_as_much_ink_as_lies_in_it(
     assert np.abs(shift).max() < 0.003
 
 
-def fitted_crossing(image: np.ndarray, start: np.ndarray, across: np.ndarray, down: np.ndarray) -> np.ndarray:
-    """Crossing of a checker by least squares: two soft edges whose product is the picture."""
-    half = int(np.clip(0.55 * min(np.linalg.norm(across), np.linalg.norm(down)), 2, 8))
-    x0, y0 = np.rint(start - 0.5).astype(int)
-    y, x = np.mgrid[y0 - half : y0 + half + 1, x0 - half : x0 + half + 1]
-    value = image[y0 - half : y0 + half + 1, x0 - half : x0 + half + 1].ravel()
-    x, y = x.ravel() + 0.5, y.ravel() + 0.5
-    angles = [np.arctan2(e[1], e[0]) for e in (across, down)]
-
-    def model(p: np.ndarray) -> np.ndarray:
-        one = np.sin(p[2]) * (x - p[0]) - np.cos(p[2]) * (y - p[1])
-        two = np.sin(p[3]) * (x - p[0]) - np.cos(p[3]) * (y - p[1])
-        tilt = p[7] * (x - start[0]) + p[8] * (y - start[1])
-        return p[4] + tilt + p[5] * np.tanh(one / p[6]) * np.tanh(two / p[6]) - value
-
-    begin = [*start, *angles, value.mean(), np.ptp(value) / 2, 1.0, 0.0, 0.0]
-    starts = [np.array([*begin[:5], sign * begin[5], *begin[6:]]) for sign in (1, -1)]
-    return least_squares(model, min(starts, key=lambda p: float(np.sum(model(p) ** 2)))).x[:2]
-
-
-def test_crossings_lie_where_they_are_projected(
-    field: Field, photographer: Photographer, rays: LensRays
-) -> None:
-    """In the developed 8-bit picture, by a fit that knows nothing of the twin."""
-    errors = []
-    for cone, roll_rad in (("C1", 0.0), ("C5", 0.35), ("C4", 1.5)):
-        pose = toward(field, cone, roll_rad=roll_rad)
-        seen = photographer.see(rays, pose)
-        sheets = seen_sheets(field, photographer, seen, rays.camera, pose)
-        image = exposed(seen.light, LENS, np.random.default_rng(0)).astype(np.float64).mean(axis=2)
-        for sheet in sheets:
-            for u, v in SADDLES_MODULES:
-                near = np.array([[u, v], [u + 0.5, v], [u - 0.5, v], [u, v + 0.5], [u, v - 0.5]])
-                p = pixels_of(sheet, near, rays.camera, pose)
-                errors.append(fitted_crossing(image, p[0], p[1] - p[2], p[3] - p[4]) - p[0])
-    error = np.array(errors)
-    assert len(error) >= 40
-    # 8 bits and modules of about eight pixels let the fit scatter by 0.02 px; some lie at a shadow's edge.
-    kept = np.abs(error).max(axis=1) < 0.3
-    assert kept.mean() > 0.9
-    assert np.abs(error[kept].mean(axis=0)).max() < 0.02
-    assert np.abs(np.median(error, axis=0)).max() < 0.02
-    assert error[kept].std() < 0.06
-
-
 # ---------------------------------------------------------------- light
-
-
-def test_a_cone_throws_a_shadow_on_the_ground(field: Field, photographer: Photographer) -> None:
-    camera = Camera(
-        model="perspective", size_px=(300, 220), parameters=np.array([260, 260, 150, 110, 0, 0, 0, 0, 0])
-    )
-    middle = field.cone("C1").middle_wcs_m
-    sun = SUN.direction_wcs
-    spot = middle - middle[2] / sun[2] * sun
-    beside = spot + np.array([-1.4 * sun[1], 1.4 * sun[0], 0.0])
-    pose = looking(spot + np.array([1.5, -0.6, 2.4]), spot)
-    seen = photographer.see(LensRays(camera), pose)
-    ground = photographer.yard.names.index("ground")
-    brightness = []
-    for place in (spot, beside):
-        x, y = camera.project(pose.inverse().apply([place]))[0].astype(int)
-        assert (seen.thing[y - 2 : y + 3, x - 2 : x + 3] == ground).all()
-        brightness.append(seen.light[y - 2 : y + 3, x - 2 : x + 3].mean())
-    # The sun behind thin cloud adds twice the light of the sky.
-    assert brightness[0] < 0.6 * brightness[1]
 
 
 def test_the_picture_is_the_same_at_each_run_and_with_one_thread(

@@ -10,7 +10,7 @@ from thalweg.calibration.field import read_field
 from thalweg.core import Camera, Rigid
 from thalweg.lightsheet.optics import paper_4
 from thalweg_lab.settings import TwinConfig
-from thalweg_lab.tank import Basin, record_camera_field, record_camera_station
+from thalweg_lab.tank import record_camera_field
 from thalweg_lab.tank.camera_field import (
     MODULE_M,
     SIGMA_BAR_M,
@@ -20,7 +20,6 @@ from thalweg_lab.tank.camera_field import (
     stations,
 )
 
-TINY = TwinConfig.of_size("basin_tiny")
 CAMERA = paper_4().camera.scaled((1024, 1024))
 
 
@@ -107,33 +106,3 @@ def test_a_sheet_on_a_post_hides_what_is_behind_it() -> None:
     behind = seen(foot + 0.4 * away)
     assert low.marker not in behind
     assert post.marker in behind
-
-
-def test_the_same_seed_gives_the_same_bytes(tmp_path: Path) -> None:
-    one, _ = recorded(tmp_path)
-    first = (tmp_path / "marks7.csv").read_bytes(), (tmp_path / "field7.yaml").read_bytes()
-    recorded(tmp_path)
-    assert first == ((tmp_path / "marks7.csv").read_bytes(), (tmp_path / "field7.yaml").read_bytes())
-    other, _ = recorded(tmp_path, seed=8)
-    assert not one.equals(other)
-
-
-def test_nothing_else_of_the_twin_depends_on_the_field(tmp_path: Path) -> None:
-    files = ("sensor.yaml", "camera_marks.csv", "mark_points.csv")
-    written = []
-    for pictures in (0, 24):
-        twin = TwinConfig.of_size("basin_tiny", light_sheet={"lens_pictures": pictures})
-        folder = tmp_path / str(pictures)
-        folder.mkdir()
-        record_camera_station(
-            twin, 7, out_sensor=folder / files[0], out_marks=folder / files[1], out_points=folder / files[2]
-        )
-        written.append([(folder / name).read_bytes() for name in files])
-        np.testing.assert_array_equal(Basin.of(twin, 7).true.vector(), Basin.of(TINY, 7).true.vector())
-    assert written[0] == written[1]
-
-
-def test_more_pictures_begin_with_the_same_ones(tmp_path: Path) -> None:
-    few, _ = recorded(tmp_path, lens_pictures=12)
-    many, _ = recorded(tmp_path)
-    pd.testing.assert_frame_equal(few, many[many["file"].isin(set(few["file"]))])

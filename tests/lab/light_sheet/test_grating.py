@@ -3,8 +3,7 @@
 import numpy as np
 
 from thalweg.lightsheet.optics import paper_4
-from thalweg_lab.tank import GratingErrors, calibration_points, make_grating
-from thalweg_lab.tank.grating import image_of_level
+from thalweg_lab.tank import GratingErrors, make_grating
 
 SENSOR = paper_4()
 IDEAL = GratingErrors(
@@ -57,40 +56,6 @@ def test_cover_moves_origins_along_a_caustic() -> None:
     expected = 2.0 * sine * (1 / np.sqrt(1.52**2 - sine**2) - 1 / np.sqrt(1 - sine**2))
     np.testing.assert_allclose(np.hypot(origins[:, 0], origins[:, 1]), np.abs(expected), atol=1e-12)
     assert np.abs(origins).max() > 0.1
-
-
-def test_irregular_spacing_keeps_the_opening() -> None:
-    even = make_grating(SENSOR, 1, errors=IDEAL)
-    uneven = make_grating(SENSOR, 1, errors=GratingErrors(**{**_fields(IDEAL), "irregular": 0.3}))
-    np.testing.assert_allclose(uneven.cosine_offsets[[0, -1]], even.cosine_offsets[[0, -1]], atol=1e-12)
-    steps = np.diff(uneven.cosine_offsets) / np.diff(even.cosine_offsets)
-    assert 0.1 < np.std(steps) < 0.25  # uniform in +-0.3: 0.17
-    assert steps.min() > 0.6
-
-
-def test_streams_are_separate() -> None:
-    """Another bow changes neither spacing nor noise."""
-    one = make_grating(SENSOR, 1)
-    two = make_grating(SENSOR, 1, errors=GratingErrors(sigma_bow=0.0))
-    np.testing.assert_array_equal(one.cosine_offsets, two.cosine_offsets)
-    np.testing.assert_array_equal(one.offsets_mm, two.offsets_mm)
-
-
-def test_points_scatter_as_stated() -> None:
-    grating = make_grating(SENSOR, 1)
-    a = np.zeros(15) + 0.01
-    xy, angle = image_of_level(SENSOR, grating, np.arange(15), a, np.full(15, 100.0))
-    assert np.isfinite(xy).all()
-    # lines run along the columns: they are measured nearly along the rows
-    assert np.abs(np.sin(angle)).max() < 0.2
-    quiet = calibration_points(SENSOR, grating, (75.0, 140.0), 1, sigma_px=1e-9, sigma_along_px=1e-9)
-    noisy = calibration_points(SENSOR, grating, (75.0, 140.0), 1, sigma_px=0.3, sigma_along_px=1e-9)
-    u = np.stack([np.cos(quiet.angle_rad), np.sin(quiet.angle_rad)], axis=1)
-    across = np.einsum("ni,ni->n", noisy.xy_px - quiet.xy_px, u)
-    # 1,900 points: 1.6 % statistical
-    np.testing.assert_allclose(np.std(across), 0.3, rtol=0.06)
-    assert (quiet.depth_mm[quiet.pairs[:, 0]] == 75.0).all()
-    assert (quiet.depth_mm[quiet.pairs[:, 1]] == 140.0).all()
 
 
 def _fields(errors: GratingErrors) -> dict:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from thalweg.core import GeometryError, LocalFrame
+from thalweg.core import LocalFrame
 from thalweg.core.geometry import read_mesh
 from thalweg.surface import Surface
 from thalweg_lab.tank import stepped_object
@@ -60,10 +60,3 @@ def test_noise_and_holes_are_as_stated(tmp_path) -> None:  # type: ignore[no-unt
     stored, _, facts = read_mesh(tmp_path / "reference.ply")
     assert stored.vertices_m == pytest.approx(mesh.vertices_m, abs=1e-9)
     assert facts["object"] == "stepped_object"
-
-
-def test_what_cannot_be_made_is_refused() -> None:
-    with pytest.raises(GeometryError, match="million faces"):
-        reference_mesh(stepped_object(), 1, resolution_mm=0.02)
-    with pytest.raises(GeometryError, match="no face without these materials"):
-        reference_mesh(stepped_object(), 1, without=(0, 1))

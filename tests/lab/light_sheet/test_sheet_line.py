@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from tests.lab.light_sheet.conftest import SEED, Small, at_rows, row_centres
+from tests.lab.light_sheet.conftest import Small, at_rows, row_centres
 from thalweg.core import ArrayF, rotation_opk
-from thalweg_lab.tank import Posed, line_on, lines_of, make_grating, stepped_object
+from thalweg_lab.tank import Posed, line_on, stepped_object
 from thalweg_lab.tank.forward import beams_in_water
-from thalweg_lab.tank.glow import LinePoints, glow, on_sheet, rays_of
+from thalweg_lab.tank.glow import LinePoints, on_sheet, rays_of
 from thalweg_lab.tank.objects import STEP_HEIGHTS_MM, STEP_SIZE_MM, GridPattern, grid_object, panel
 from thalweg_lab.tank.render import laser_light
 
@@ -50,26 +50,6 @@ def test_defocus_moves_no_line(small: Small) -> None:
     rows = slice(150, 350)
     assert np.abs(row_centres(sharp_image)[rows] - row_centres(image)[rows]).max() < 0.002  # even kernels
     assert image.max() < 0.95 * sharp_image.max()
-
-
-def test_all_light_of_the_points_arrives(small: Small) -> None:
-    posed = on_panel(small, 125.0)
-    points = glow(small.sensor, posed, small.sensor.sheet, small.clean)
-    inside = (points.xy_px > 6).all(axis=1) & (points.xy_px < np.array(small.sensor.camera.size_px) - 6).all(
-        axis=1
-    )
-    all_light = laser_light(small.sensor, posed, small.clean).sum(dtype=np.float64)
-    assert points.light[inside].sum() < all_light < points.light.sum() * (1 + 1e-5)
-    # 6 pixels at each end of a line of 512
-    assert all_light == pytest.approx(points.light[inside].sum(), rel=0.05)
-
-
-def test_more_rays_change_nothing(small: Small) -> None:
-    posed = on_panel(small, 125.0)
-    image = laser_light(small.sensor, posed, small.clean)
-    finer = small.clean.model_copy(update={"beams_per_px": 6.0, "offsets": 25})
-    # 9 rays across and 2.5 beams a pixel against 25 and 6
-    assert np.abs(laser_light(small.sensor, posed, finer) - image).max() < 0.01 * image.max()
 
 
 def steps(small: Small) -> Posed:
@@ -139,32 +119,3 @@ def test_the_light_falls_through_where_the_grid_has_gaps(small: Small, levels_mm
     through = clear & gap & (np.abs(top[:, 0]) > 3.0)
     assert (level[through] == below[through]).all()
     assert gap.sum() > 300
-
-
-def test_gaps_and_pieces_are_in_the_image(small: Small) -> None:
-    at, _ = on_sheet(small.sensor, small.sensor.sheet, 60.0)
-    posed = Posed(
-        surface=grid_object(GridPattern.regular()),
-        R_lcs_obj=rotation_opk(0, 0, np.deg2rad(-2.0)),
-        shift_lcs_mm=at,
-    )
-    image = laser_light(small.sensor, posed, small.clean)
-    lower, upper = image[:, :220].sum(axis=1), image[:, 220:].sum(axis=1)
-    bright = lower > 0.3 * lower.max(), upper > 0.3 * upper.max()
-    pieces = [int((np.diff(b.astype(int)) == 1).sum() + b[0]) for b in bright]
-    # 11 gaps: 11 pieces below, of which the outermost may leave the picture, and 12 above
-    assert 9 <= pieces[0] <= 11
-    assert pieces[1] == 12
-
-
-def test_the_lines_of_a_grating_are_all_there(small: Small) -> None:
-    grating = make_grating(small.sensor, SEED)
-    image = laser_light(small.sensor, on_panel(small, 125.0), small.clean, lines_of(grating))
-    single = laser_light(small.sensor, on_panel(small, 125.0), small.clean, lines_of(grating, [7]))
-    row = image[256]
-    peaks = np.flatnonzero((row[1:-1] > row[:-2]) & (row[1:-1] >= row[2:]) & (row[1:-1] > 0.2 * row.max()))
-    line = line_on(small.sensor, on_panel(small, 125.0), lines_of(grating)[7], np.linspace(-0.2, 0.2, 2001))
-    assert 8 <= len(peaks) <= 15  # of 15 lines those in the picture
-    assert row_centres(single)[256] == pytest.approx(
-        at_rows(line.xy_px[line.visible], np.array([256.5]))[0], abs=0.005
-    )

@@ -15,9 +15,8 @@ from thalweg.core import LocalFrame, read_table
 from thalweg.ingest.photos import read_image_stamps
 from thalweg.lightsheet.calibration import read_grid
 from thalweg.lightsheet.optics import read_sensor
-from thalweg_lab.tank import calibration_plan, panel_plan, scan_plan, stepped_object
-from thalweg_lab.tank.plan import describe
-from thalweg_lab.tank.record import LINE_TRUTH, POSE_TRUTH, record, trigger
+from thalweg_lab.tank import calibration_plan, scan_plan, stepped_object
+from thalweg_lab.tank.record import LINE_TRUTH, POSE_TRUTH, record
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
 START = 3.0e8
@@ -101,16 +100,3 @@ def test_the_grid_is_described_as_the_calibration_reads_it(small: Small, tmp_pat
         assert (grid.depths_mm != np.array(depths)).all()
         assert len(grid.gaps_x_mm) == 11
         assert np.diff(grid.gaps_x_mm, axis=1)[[0, 5], 0] == pytest.approx([3.5, 5.25])
-
-
-def test_a_plan_is_described_without_being_rendered(small: Small) -> None:
-    plan = calibration_plan(small.sensor, SEED, positions=4, depths_mm=(60.0, 105.0, 150.0))
-    told = describe(plan, small.sensor)
-    assert (told["images"], told["sheets"], len(told["depths_mm"][3])) == (4, 1, 3)
-
-
-def test_pulses_are_on_the_grid_of_the_divider_and_pause_once() -> None:
-    shots = trigger(SEED, 2.0 * np.arange(12), START + 0.3, name="x")
-    gaps = np.diff(shots.t_gps_s)
-    assert sorted(set(gaps.round(6))) == [2.0, 7.0]
-    assert (np.abs(shots.t_gps_s * 10 - np.rint(shots.t_gps_s * 10)) < 1e-6).all()

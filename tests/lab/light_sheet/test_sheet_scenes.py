@@ -4,9 +4,6 @@ import numpy as np
 import pytest
 
 from tests.lab.light_sheet.conftest import SEED, Small
-from thalweg.core import ConfigError, GeometryError
-from thalweg.lightsheet.optics import paper_4
-from thalweg_lab.settings import SheetImage
 from thalweg_lab.tank import (
     SIGMA_PX,
     Posed,
@@ -14,30 +11,22 @@ from thalweg_lab.tank import (
     calibration_plan,
     line_on,
     observe,
-    panel_plan,
     scan_plan,
     set_up,
-    sized,
     stepped_object,
     wreck,
 )
-from thalweg_lab.tank.forward import in_water_of, true_sensor
-from thalweg_lab.tank.glow import glow, on_sheet
-from thalweg_lab.tank.motion import drift, rail
+from thalweg_lab.tank.forward import true_sensor
+from thalweg_lab.tank.motion import drift
 from thalweg_lab.tank.objects import (
     HEIGHT_MM,
     LENGTH_MM,
     STEP_HEIGHTS_MM,
     STEP_SIZE_MM,
     WIDTH_MM,
-    GridPattern,
-    build_board,
-    dry,
-    observe_board,
-    panel,
     stepped_markers_mm,
 )
-from thalweg_lab.tank.plan import boat_path, river_bed, strip_plan
+from thalweg_lab.tank.plan import boat_path, strip_plan
 
 
 def test_the_stepped_object_is_that_of_the_paper() -> None:
@@ -72,53 +61,6 @@ def test_the_wreck_has_its_size_its_holes_and_its_spars() -> None:
     assert not np.array_equal(wreck(SEED + 1, ground=False, step_mm=2.0).vertices_mm, whole.vertices_mm)
 
 
-def test_the_river_bed_is_as_rough_as_stated() -> None:
-    smooth = river_bed(SEED, length_mm=200.0, roughness_mm=0.0, stones=0)
-    rough = river_bed(SEED, length_mm=200.0, roughness_mm=0.15, stones=0)
-    relief = rough.vertices_mm[:, 2] - smooth.vertices_mm[:, 2]
-    # 48 waves: the std of a realisation scatters by some percent
-    assert relief.std() == pytest.approx(0.15, rel=0.1)
-    assert np.ptp(smooth.vertices_mm[:, 2]) > 7.0
-    assert (river_bed(SEED, length_mm=200.0, stones=5).material > 0).any()
-
-
-def test_a_grid_must_make_sense() -> None:
-    with pytest.raises(GeometryError, match="gaps"):
-        GridPattern(gaps_mm=np.array([[0.0, 5.0], [4.0, 8.0]]))
-    with pytest.raises(GeometryError, match="levels"):
-        GridPattern(gaps_mm=np.array([[0.0, 5.0]]), levels_mm=(0.0, 10.0))
-
-
-def test_a_smaller_image_asks_the_same_of_detection(small: Small) -> None:
-    full, settings = sized(paper_4(), SheetImage(), "full")
-    at, _ = on_sheet(full, full.sheet, 125.0)
-    posed = Posed(surface=panel(), shift_lcs_mm=at)
-    a = np.deg2rad(np.linspace(-1, 1, 3))
-    spread = []
-    for sensor, used in ((full, settings), (small.sensor, small.settings)):
-        light = glow(sensor, posed, sensor.sheet, used, a)
-        spread.append((np.ptp(light.xy_px[used.offsets : 2 * used.offsets, 0]), light.sigma_px.mean()))
-        line = line_on(sensor, posed, sensor.sheet, a)
-        spread[-1] += tuple(line.xyz_lcs_mm[1])
-    # a beam that is four times as wide no longer widens: 1 % at the waist's depth
-    assert spread[0] == pytest.approx(spread[1], rel=0.02)
-    with pytest.raises(ConfigError, match="size 'huge'"):
-        sized(full, settings, "huge")
-
-
-def test_the_true_sensor_differs_by_its_tolerances() -> None:
-    nominal = paper_4()
-    true = [true_sensor(nominal, seed) for seed in range(200)]
-    laser = np.array([s.sheet.origin_lcs_mm - nominal.sheet.origin_lcs_mm for s in true])
-    assert laser.std(axis=0) == pytest.approx([3.0] * 3, rel=0.2)  # 200 draws: 5 %
-    tilted = true_sensor(nominal, 4, tilt_deg=0.1)
-    assert tilted.window.tilt_x_rad != 0
-    assert np.array_equal(tilted.sheet.origin_lcs_mm, true[4].sheet.origin_lcs_mm)  # a stream of its own
-    # 10 K: 0.001 (P4 6.5)
-    cold, warm = (in_water_of(nominal, t).window.n_water for t in (10.0, 20.0))
-    assert cold - warm == pytest.approx(7e-4, abs=1e-4)
-
-
 def test_the_line_crosses_the_object_in_a_scan(small: Small) -> None:
     plan = scan_plan(small.sensor, SEED, stepped_object(), lines=7, step_mm=4.0)
     assert len(plan) == 7
@@ -129,14 +71,6 @@ def test_the_line_crosses_the_object_in_a_scan(small: Small) -> None:
     steps = np.diff(np.array(at)[:, 1])
     assert steps.mean() == pytest.approx(4.0, abs=0.4)  # wobble of 0.3 mm and 0.15 degrees at 200 mm
     assert np.abs(np.array(at)[:, 0]).max() < 5
-
-
-def test_panels_lie_at_their_depths(small: Small) -> None:
-    plan = panel_plan(small.sensor)
-    a = np.deg2rad(np.linspace(-30, 30, 7))
-    for k, depth in enumerate((128.9, 122.7, 83.1, 72.7)):
-        line = line_on(small.sensor, plan.scene(k), small.sensor.sheet, a)
-        assert small.sensor.window.depth_mm(line.xyz_lcs_mm) == pytest.approx(depth, abs=1e-9)
 
 
 def test_the_grid_lies_at_its_depths_under_a_tilted_window(small: Small) -> None:
@@ -172,16 +106,6 @@ def test_poses_of_the_panel_reach_the_published_sigmas(small: Small) -> None:
     assert (seen.xy_px[seen.image == 2] - exact).std() == pytest.approx(SIGMA_PX, rel=0.3)  # 60 numbers
 
 
-def test_the_board_is_seen_dry_and_wet(small: Small) -> None:
-    board = build_board(small.sensor, SEED)
-    for sensor in (dry(small.sensor), small.sensor):
-        marker, xy = observe_board(sensor, board, SEED, name="board")
-        assert len(marker) > 30
-        assert sensor.camera.inside(xy, -1.0).all()
-    ends = board.xyz_lcs_mm[board.bars - 1]
-    assert np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1) == pytest.approx(board.bar_mm, abs=0.05)
-
-
 def test_a_strip_under_a_boat(small: Small) -> None:
     plan = strip_plan(small.sensor, SEED, lines=6, step_mm=3.0)
     for k, posed in enumerate(plan.scenes()):
@@ -207,22 +131,3 @@ def test_a_trajectory_in_the_world_becomes_the_path_of_a_strip() -> None:
     )
     assert np.allclose(back.R_obj_lcs, own.R_obj_lcs)
     assert np.allclose(back.shift_obj_mm, own.shift_obj_mm, atol=1e-6)
-
-
-def test_streams_of_a_rail_are_its_own() -> None:
-    def path(wobble_mm: float) -> np.ndarray:
-        return rail(
-            SEED,
-            lines=9,
-            step_mm=3.0,
-            middle_lcs_mm=np.zeros(3),
-            middle_obj_mm=np.zeros(3),
-            name="r",
-            wobble_mm=wobble_mm,
-            wobble_deg=0.0,
-        ).shift_obj_mm
-
-    calm, rough = path(0.0), path(0.3)
-    assert (calm[:, [0, 2]] == 0).all()
-    assert np.diff(calm[:, 1]).std() / 3.0 == pytest.approx(0.1, rel=0.7)  # 8 steps
-    assert np.abs(rough - calm).max() < 1.5

@@ -9,9 +9,9 @@ import pandas as pd
 import pytest
 
 from thalweg.calibration.field import read_points
-from thalweg.core import ConfigError, LocalFrame, read_table
+from thalweg.core import LocalFrame, read_table
 from thalweg.lightsheet.calibration import read_grid
-from thalweg.lightsheet.optics import LASER, LENS, PARAMETERS, air, intersect, paper_4, read_sensor, water
+from thalweg.lightsheet.optics import LASER, LENS, PARAMETERS, intersect, paper_4, read_sensor
 from thalweg.lightsheet.poses.panels import read_panels
 from thalweg_lab.settings import TwinConfig
 from thalweg_lab.tank import WINDOW_MARKERS, Basin, record_camera_station, record_series
@@ -57,15 +57,6 @@ def test_the_laser_is_approximate_and_all_pixels_are_square() -> None:
     sigma = np.sqrt(np.diag(basin.design.cov))
     # 0.004 mm of pixels of 5.5 um at 2048 pixels a side, at a quarter of them
     assert sigma[LENS.start] == pytest.approx(0.004 / 0.0055 / 4)
-
-
-def test_the_true_water_is_that_of_the_temperature() -> None:
-    cold = Basin.of(TwinConfig.of_size("basin_tiny", light_sheet={"temperature_c": 4.0}), 7)
-    warm = Basin.of(TwinConfig.of_size("basin_tiny", light_sheet={"temperature_c": 30.0}), 7)
-    assert cold.true.window.n_water == pytest.approx(water(520.0, 4.0) / air(520.0))
-    # IAPWS: 1.5e-3 less in warm water
-    assert 1e-3 < cold.true.window.n_water - warm.true.window.n_water < 3e-3
-    np.testing.assert_array_equal(cold.true.vector()[LASER], warm.true.vector()[LASER])
 
 
 # ---------------------------------------------------------------- files
@@ -123,18 +114,3 @@ def test_panels_and_the_calliper(tmp_path: Path) -> None:
     assert (table["sigma_mm"] == 0.02).all()
     assert table["file"].tolist() == sorted(path.name for path in (tmp_path / "images").iterdir())
     assert json.loads((tmp_path / "truth" / "plan.json").read_text())["depths_mm"] == [120.0, 80.0]
-
-
-def test_the_same_seed_gives_the_same_bytes_and_another_does_not(tmp_path: Path) -> None:
-    for name, seed in (("a", 7), ("b", 7), ("c", 8)):
-        (tmp_path / name).mkdir()
-        station(tmp_path / name, seed)
-    for file in ("sensor.yaml", "camera_marks.csv", "mark_points.csv"):
-        one, two, other = ((tmp_path / name / file).read_bytes() for name in "abc")
-        assert one == two
-        assert one != other
-
-
-def test_a_series_that_does_not_exist(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"series 'ship'; expected calibration, panels, stepped, wreck"):
-        record_series(TINY, 7, "ship", FRAME, tmp_path, tmp_path / "truth")

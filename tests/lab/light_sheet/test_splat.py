@@ -33,15 +33,3 @@ def test_a_point_keeps_its_light_and_width() -> None:
     exact = 2.5 * np.outer(np.diff(norm.cdf(x, 20.6, 1.2)), np.diff(norm.cdf(x, 20.3, 1.2)))
     # beyond 4 sigma nothing is drawn, and its share is given to the rest
     assert np.abs(image - exact).max() < 2e-4 * exact.max()
-
-
-def test_light_beyond_the_border_is_lost_and_not_folded_back() -> None:
-    assert drawn(0.0, 20.0, 1.0).sum() == pytest.approx(1.25, rel=1e-3)
-    assert drawn(-9.0, 20.0, 1.0).sum() == 0
-    assert drawn(39.9, 39.9, 1.0)[:20, :20].sum() == 0
-
-
-def test_what_has_no_place_leaves_no_light() -> None:
-    image = np.zeros((8, 8), dtype=np.float32)
-    splat(image, np.array([[np.nan, 4.0], [4.0, 4.0]]), np.array([1.0, np.nan]), np.ones(2))
-    assert image.sum() == 0

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from thalweg.core import GeometryError
-from thalweg.lightsheet.optics import intersect
 from thalweg_lab.multi_line import (
     Detections,
     Flag,
@@ -15,7 +14,6 @@ from thalweg_lab.multi_line import (
     hypotheses,
     label_scan,
     label_single_image,
-    line_table,
 )
 from thalweg_lab.multi_line.labels import (
     CONTRADICTED,
@@ -23,7 +21,6 @@ from thalweg_lab.multi_line.labels import (
     SUPPORTED,
     UNKNOWN,
     SurfaceMap,
-    depth_evidence,
     in_map,
     label_image,
     link_rows,
@@ -120,43 +117,6 @@ def test_map_knows_occupied_free_and_hidden() -> None:
     state, _ = surface.ask(hypotheses_, np.zeros((4, 2)), possible, 1)
     assert state[0, 0] != SUPPORTED
     assert state[0, 1] == SUPPORTED
-
-
-def test_flat_bed_of_known_depth(regular) -> None:
-    """Acceptance 16: flat >= 0.999, of one image, with the depth known to 1 mm."""
-    grating, lines = regular
-    seen = observe(PAIR.true, grating, make_scene("flat", 1), 0.0, 1)
-    h = hypotheses(SENSOR, lines, seen.detections, LabelSettings())
-    depth = float(np.nanmedian(seen.depth_mm)) + 1.0
-    got = label_counts(
-        [label_image(h, LabelSettings(), evidence=depth_evidence(h, depth, 2.0)).label], seen.label
-    )
-    # wrong are spurious detections within a line's width of a line
-    assert got["precision"] >= 0.998
-    assert got["wrong_by_one"] == 0
-    assert got["share"] > 0.95
-
-
-def test_calibrated_lines_measure_the_scene(irregular) -> None:
-    """Rendering and measuring are different codes: true labels give true depths."""
-    grating, lines = irregular
-    seen = observe(PAIR.true, grating, make_scene("wreck", 2), 20.0, 1)
-    h = hypotheses(SENSOR, lines, seen.detections, LabelSettings())
-    real = np.flatnonzero(seen.label >= 0)
-    error = h.xyd_mm[real, seen.label[real], 2] - seen.depth_mm[real]
-    # 0.2 px of noise are 0.02 to 0.03 mm; ends of fans may lie outside of the calibrated ones
-    assert np.sqrt(np.nanmean(error**2)) < 0.05
-    assert np.isfinite(error).mean() > 0.99
-
-
-def test_table_of_lines(regular) -> None:
-    """15 lines of 28 degrees; what the table calls a place is what a pixel measures."""
-    _, lines = regular
-    table = line_table(SENSOR, lines, (100.0, 150.0))
-    assert table["line"].nunique() == 15
-    seen = table[table["in_picture"] & (table["line"] == 5) & (table["depth_mm"] == 150.0)]
-    met = intersect(SENSOR.with_sheet(lines.sheets()[5]), seen[["x_px", "y_px"]].to_numpy())
-    np.testing.assert_allclose(met.depth_mm, 150.0, atol=1e-8)
 
 
 def test_single_images_label_only_what_they_know(regular, irregular) -> None:

@@ -7,11 +7,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from tests.bands import band
 from thalweg.figures import save
 from thalweg_lab.figures.bed_patterns import draw_bed_patterns
 from thalweg_lab.studies import bed_study
-from thalweg_lab.studies.bed_study import MISTAKES, NONE, campaign_of, surveyed, verdicts
+from thalweg_lab.studies.bed_study import MISTAKES, NONE, surveyed, verdicts
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -93,15 +92,6 @@ def test_findings_of_many_surveys() -> None:
         assert found.loc[name, "sigma"] < 0.06
         assert abs(found.loc[name, "value"] - true) < 3 * found.loc[name, "sigma"]
         assert found.loc[name, "surveys"] == 20
-
-
-def test_the_instrument_differs_from_what_is_known_and_the_course_changes() -> None:
-    found = [campaign_of(seed)["twin"] for seed in range(1, 9)]
-    assert {each["boat"]["pattern"] for each in found} == {"zigzag", "sections"}
-    assert len({each["echo"]["latency_s"] for each in found}) == 8
-    tilt = np.array([each["echo"]["tilt_deg"] for each in found])
-    low, high = band(tilt.size)  # drawn with a sigma of one degree about zero
-    assert low < np.mean(tilt**2) < high
 
 
 def _surveys(factor: float) -> pd.DataFrame:

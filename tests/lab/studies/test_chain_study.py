@@ -6,11 +6,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from thalweg.core import LocalFrame, Rigid, read_parquet, rotation_vector
+from thalweg.core import LocalFrame, Rigid, rotation_vector
 from thalweg_lab.settings import TwinConfig
-from thalweg_lab.studies import Batch, chain_study as study, chain_study as tables, run_seeds
+from thalweg_lab.studies import chain_study as study, chain_study as tables
 from thalweg_lab.studies.chain_study import CHAINS, ImageErrors, draw_images
-from thalweg_lab.studies.study import Study
 from thalweg_lab.studies.survey import BARE
 from thalweg_lab.voyage import Voyage
 
@@ -53,21 +52,6 @@ def test_all_chains_see_the_bank(found: dict[str, list[study.Found]]) -> None:
     assert of.loc["fused", "rmse_m"] < 0.08
 
 
-def test_what_a_survey_found_goes_through_files(found: dict[str, list[study.Found]], tmp_path) -> None:
-    """Jobs of single seeds hand over tables: what is read again gives the same numbers."""
-    (one,) = found[tables.DISTURBED]
-    target = tmp_path / "survey_1"
-    how = Study(rows=lambda seed: tables.as_rows({tables.DISTURBED: one}, seed.number), results=lambda *_: {})
-    run_seeds(how, Batch(kind="survey", seeds=(1, 2)), {}, target)
-    read = {path.stem: read_parquet(path) for path in target.glob("*.parquet")}
-    again = tables.from_rows(read)[tables.DISTURBED]
-    assert len(again) == 2
-    for name in CHAINS:
-        pd.testing.assert_frame_equal(again[1].distances[name], one.distances[name])
-        pd.testing.assert_frame_equal(again[1].counts[name], one.counts[name])
-    pd.testing.assert_frame_equal(again[1].truth, one.truth)
-
-
 def test_a_goal_that_is_missed_says_by_how_much() -> None:
     rows = [
         {"setting": tables.DISTURBED, "chain": chain, "points": points, "rmse_m": rmse, "mean_m": mean}
@@ -95,12 +79,3 @@ def test_drawn_images_err_as_they_say() -> None:
     assert np.mean(squares) == pytest.approx(1.0, abs=0.08)
     # neighbours are as alike as stated: the product of 200 pairs scatters by 0.12
     assert np.mean(products) == pytest.approx(1.0, abs=0.35)
-
-
-def test_clock_and_poses_have_random_numbers_of_their_own() -> None:
-    motion = Voyage(TwinConfig.of_size("demo", duration_s=6.0), 1)
-    a = draw_images(1, motion, FRAME, CAMERA, ImageErrors())
-    b = draw_images(1, motion, FRAME, CAMERA, ImageErrors(jitter_s=0.0))
-    c = draw_images(1, motion, FRAME, CAMERA, ImageErrors(sigma_m=(0.01, 0.01, 0.01)))
-    assert not np.allclose(a.centre_wcs_m, b.centre_wcs_m)
-    np.testing.assert_array_equal(a.R_wcs_ccs, c.R_wcs_ccs)

@@ -8,18 +8,7 @@ import pytest
 
 from thalweg.core import GeometryError, read_parquet
 from thalweg_lab.studies import image_blocks
-from thalweg_lab.studies.image_blocks import (
-    DEFAULT_FACTOR,
-    FACTORS,
-    block_study,
-    by_factor,
-    normalised,
-    pooled,
-    summary,
-)
-
-SEEDS = range(21, 27)
-"""Blocks that chose no number of the method."""
+from thalweg_lab.studies.image_blocks import DEFAULT_FACTOR, FACTORS, block_study, normalised, pooled
 
 
 def blocks(*joint: float, images: int = 10, factor: float = DEFAULT_FACTOR) -> pd.DataFrame:
@@ -66,18 +55,6 @@ def test_images_that_err_as_one_count_once() -> None:
     assert normalised(np.ones((5, 6)), alike)[2] == pytest.approx(6.0, rel=1e-6)
 
 
-def test_bands_narrow_with_the_number_of_errors() -> None:
-    few, many = pooled(blocks(1.1)), pooled(blocks(1.1, 0.9))
-    assert few.loc["all poses jointly", "normalised"] == pytest.approx(1.1)
-    assert many.loc["all poses jointly", "normalised"] == pytest.approx(1.0)
-    assert many.loc["single poses", "normalised"] == pytest.approx(1.5)
-    assert many["independent"].tolist() == [40.0, 120.0, 12.0]
-    for name in few.index:
-        assert (
-            few.loc[name, "low"] < many.loc[name, "low"] < 1 < many.loc[name, "high"] < few.loc[name, "high"]
-        )
-
-
 def test_a_block_that_fails_is_a_line_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def fails(*_: object) -> None:
         raise GeometryError("no block", expected="one")
@@ -93,19 +70,3 @@ def test_a_block_that_fails_is_a_line_of_its_own(tmp_path: Path, monkeypatch: py
     table = again[again["factor"] == DEFAULT_FACTOR]
     both = pd.concat([blocks(1.2), table], ignore_index=True)
     assert pooled(both).loc["all poses jointly", "normalised"] == pytest.approx(1.2)
-
-
-def test_each_factor_has_its_band() -> None:
-    # one block with 20 independent errors: 1.4 by the model, 1.1 and 0.9 with 2 and 4 times its variance
-    table = pd.concat(
-        [
-            blocks(1.0, factor=factor).assign(single=value)
-            for factor, value in ((1.0, 1.4), (2.0, 1.1), (4.0, 0.9))
-        ]
-    )
-    # chi-square of 20: 34.17
-    assert by_factor(table).query("of == 'single poses'")["high"].tolist() == pytest.approx(
-        [34.17 / 20] * 3, rel=1e-3
-    )
-    both = summary(table, blocks(1.0))
-    assert both["blocks"].tolist() == ["fitted"] * 9 + ["judged"] * 3

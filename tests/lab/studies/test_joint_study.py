@@ -4,11 +4,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from thalweg_lab.figures import joint_river_figure
 from thalweg_lab.reach import River
 from thalweg_lab.settings import TwinConfig
-from thalweg_lab.studies import bed_study, joint_study
-from thalweg_lab.studies.joint_study import SURVEYS, by_depth, campaign_of, surveyed
+from thalweg_lab.studies import joint_study
+from thalweg_lab.studies.joint_study import SURVEYS, campaign_of, surveyed
 
 
 @pytest.fixture(scope="module")
@@ -59,33 +58,3 @@ def test_the_sheet_helps_where_it_measures(found: tuple[pd.DataFrame, pd.DataFra
     assert of.loc[SURVEYS[1], "measured"] > of.loc[SURVEYS[0], "measured"]
     assert of.loc[SURVEYS[1], "predicted_m2"] < of.loc[SURVEYS[0], "predicted_m2"]
     assert (of["n"] > 20).all()
-
-
-def test_the_picture(found: tuple[pd.DataFrame, pd.DataFrame]) -> None:
-    squares, places = found
-    both = pd.concat([squares, squares.assign(seed=2)])
-    table = by_depth(both)
-    assert set(table["survey"]) == set(SURVEYS)
-    assert table.loc[0, "number"] == 2
-    assert (table["n_off_banks"] <= table["n"]).all()
-    # errors grow with the slope (`per_slope`): the walls of the scaled sections make no sigma too small
-    deep = table[table["from_m"] == 1.0].iloc[0]
-    assert min(deep["ratio"], deep["ratio_off_banks"]) > 1.0
-    figure = joint_river_figure(places, table)
-    titles = [ax.get_title(loc="left") for ax in figure.axes]
-    assert sum(bool(t) for t in titles) == 5
-    assert any("n = 2 surveys" in t.get_text() for t in figure.findobj() if hasattr(t, "get_text"))
-
-
-def test_sections_of_unequal_length_are_refused() -> None:
-    with pytest.raises(ValueError, match="all of them have as many"):
-        TwinConfig.of_size("tiny", scene={"sections": [[0.0, 1.0, 0.0], [0.0, 0.5, 1.0, 0.0]]})
-
-
-def test_a_class_without_cells_has_no_row() -> None:
-    rows = [
-        bed_study.sums_of(name, 0.0, 0.05, np.array([]), np.array([]))
-        | dict.fromkeys(["measured", "soundings", "sheet", *(f"off_{key}" for key in joint_study.SUMS)], 0)
-        for name in SURVEYS
-    ]
-    assert not len(by_depth(pd.DataFrame(rows).assign(seed=1)))

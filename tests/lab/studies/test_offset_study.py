@@ -1,21 +1,13 @@
 """The study of offsets: a small one says what it must, and words follow from numbers."""
 
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
 
-from thalweg_lab.studies.offset_study import (
-    EFFECTS,
-    PER_SURVEY,
-    Effect,
-    distances,
-    offset_table,
-    rows_of_seed,
-)
+from thalweg_lab.studies.offset_study import EFFECTS, Effect, offset_table, rows_of_seed
 from thalweg_lab.studies.survey import survey_settings
 
 SMALL: dict[str, Any] = {
@@ -90,11 +82,3 @@ def test_a_bare_bank_has_no_offset_and_plants_stand_before_it(found: pd.DataFram
     assert rows.loc["bushes", "explains_m"] > 0.002
     change = rows.loc["bushes", "mean_m"] - rows.loc["mixed pixels", "mean_m"]
     assert rows.loc["bushes", "explains_m"] == pytest.approx(change)
-
-
-def test_the_same_seed_gives_the_same_numbers(
-    tmp_path: Path, surveys: tuple[pd.DataFrame, list[Effect]]
-) -> None:
-    (first, *_), (effect, *_) = surveys[0].to_dict("records"), surveys[1]
-    assert distances(first["seed"], tmp_path / "again", effect) == {name: first[name] for name in PER_SURVEY}
-    assert list(tmp_path.iterdir()) == []

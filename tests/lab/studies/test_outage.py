@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from tests.bands import band
 from thalweg_lab.studies import outage
 
 
@@ -36,36 +35,3 @@ def test_predicted_sigmas_follow_the_errors(table) -> None:
 def test_outages_leave_positions_on_both_sides_and_do_not_overlap() -> None:
     spans = outage.outages(np.arange(0.0, 100.0, 0.1), 20.0)
     assert spans == [(15.0, 35.0), (50.0, 70.0)]
-
-
-def test_under_trees_positions_are_disturbed_there_only() -> None:
-    effects = {"gnss_floats": ((2.0, 1.0),), "gnss_outages": ((5.0, 2.0),)}
-    gnss = {"multipath_m": 0.05, "multipath_time_s": 0.01, "rate_hz": 50.0}
-    spec = outage.VoyageSpec(duration_s=10.0, shade_s=((1.0, 3.0),), twin={"gnss": gnss, "effects": effects})
-    free = outage.VoyageSpec(duration_s=10.0, twin={"gnss": gnss})
-    shaded, free = outage.make_survey(1, spec), outage.make_survey(1, free)
-    table = shaded.positions.merge(free.positions, on="t_gps_s", suffixes=("", "_free"))
-    since = table["t_gps_s"].to_numpy() - free.motion.start_gps_s
-    assert len(free.positions) - len(table) == 100
-    assert not ((since > 5.0) & (since < 6.9)).any()
-    off = np.abs(table["h_ell_m"] - table["h_ell_m_free"]).to_numpy()
-    under, floats = (since >= 1.0) & (since < 4.0), (since >= 2.0) & (since < 3.0)
-    assert (table["fix"] == "float").to_numpy().tolist() == floats.tolist()
-    assert (off[~under] == 0).all()
-    low, high = band(np.sum(under & ~floats))
-    assert low < np.mean((off[under & ~floats] / (outage.DIMMED * 0.05)) ** 2) < high
-
-
-def test_outages_move_with_their_shift() -> None:
-    t = np.arange(0.0, 100.0, 0.1)
-    (first, _), (second, end) = outage.outages(t, 20.0, 1.0)
-    assert (first, second) == (pytest.approx(29.9), pytest.approx(64.9))
-    assert end == pytest.approx(99.9 - 15.0)
-
-
-def test_each_cause_has_random_numbers_of_its_own() -> None:
-    """Other images must not move the errors of INS and GNSS."""
-    a = outage.make_survey(1, outage.VoyageSpec(duration_s=10.0))
-    b = outage.make_survey(1, outage.VoyageSpec(duration_s=10.0, image_interval_s=2.0, jitter_s=0.0))
-    assert a.states.equals(b.states)
-    assert a.positions.equals(b.positions)

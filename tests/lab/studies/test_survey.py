@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from thalweg.core import laz_header
-from thalweg_lab.studies.survey import BARE, Logs, process, record, reference_mesh, survey_settings
+from thalweg_lab.studies.survey import BARE, Logs, process, record, survey_settings
 
 TWIN: dict[str, Any] = {
     "size": "tiny",
@@ -20,16 +20,6 @@ TWIN: dict[str, Any] = {
 @pytest.fixture(scope="module")
 def logs(tmp_path_factory: pytest.TempPathFactory) -> Logs:
     return record(survey_settings(TWIN, seed=3), tmp_path_factory.mktemp("survey") / "new", stations=2)
-
-
-def test_defaults_are_those_of_a_campaign_file() -> None:
-    settings = survey_settings(TWIN, seed=3, reference={"cell_m": 0.1})
-    assert settings["campaign"]["seed"] == 3
-    assert settings["twin"]["ins"]["sigma_heading_deg"] == 0.2
-    assert settings["reference"]["cell_m"] == 0.1
-    assert settings["mounts"]["lidar"]["phi_deg"] == -90.0
-    with pytest.raises(ValueError, match="no_such_key"):
-        survey_settings(TWIN, no_such_key={})
 
 
 def test_errors_are_taken_from_the_truth(logs: Logs) -> None:
@@ -46,18 +36,6 @@ def test_errors_are_taken_from_the_truth(logs: Logs) -> None:
         [e @ np.linalg.inv(C) @ e / 3 for e, C in zip(errors.error_m, errors.cov_m2, strict=True)]
     )
     assert errors.normalised == pytest.approx(by_hand, rel=1e-6)
-
-
-def test_true_points_lie_on_the_scene(logs: Logs) -> None:
-    """Single surfaces only: the echo's place is on the terrain, to the relief within a footprint."""
-    scene = logs.truth().surface
-    returns = logs.returns()
-    single = returns.point_wcs_m[returns.kind == 0]
-    down = np.tile([0.0, 0.0, -1.0], (len(single), 1))
-    above = single + np.array([0.0, 0.0, 5.0])
-    height = scene.cast(above, down).t_hit_m - 5.0
-    # 0.05 m off the plane of the brightest part at most (`STEP_M`), on slopes of up to 45 degrees
-    assert np.quantile(np.abs(height), 0.99) < 0.07
 
 
 def test_settings_may_differ_from_those_of_the_instruments(logs: Logs) -> None:
@@ -79,17 +57,3 @@ def test_the_same_seed_gives_the_same_cloud(logs: Logs, tmp_path: Path) -> None:
     assert again.scans == ()
     assert again.pcap.read_bytes() == logs.pcap.read_bytes()
     assert process(again).points.read_bytes() == process(logs, name="once_more").points.read_bytes()
-
-
-def test_scans_become_a_mesh(logs: Logs) -> None:
-    mesh, facts = reference_mesh(logs, process(logs, name="track").trajectory.position_wcs_m)
-    assert len(mesh.faces) > 1000
-    assert facts
-    # its front is the side of the boat: upward on a bank of 33 degrees
-    assert np.median(mesh.face_normals()[:, 2]) > 0.5
-
-
-def test_its_files_can_be_deleted(tmp_path: Path) -> None:
-    logs = record(survey_settings(TWIN, seed=4), tmp_path / "gone")
-    logs.remove()
-    assert list(tmp_path.iterdir()) == []

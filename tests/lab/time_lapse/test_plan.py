@@ -1,32 +1,13 @@
 """Times, names, poses, and lens of the time-lapse images."""
 
 import numpy as np
-import pytest
 
 from tests.lab.time_lapse.conftest import CONFIG, MOUNTS, SEED, settings
-from thalweg.core import ConfigError, rotation_opk
-from thalweg_lab.settings import TwinLens
-from thalweg_lab.time_lapse.record import plan_images, scaled_lens
+from thalweg.core import rotation_opk
+from thalweg_lab.time_lapse.record import plan_images
 from thalweg_lab.voyage import Voyage
 from thalweg_lab.writers import start_us
-from thalweg_lab.yard_images import true_camera
 from thalweg_lab.yard_records import clock_minus_utc_s
-
-
-def test_a_smaller_image_is_the_same_lens_with_larger_pixels() -> None:
-    lens = TwinLens(size_px=(1600, 1200), focal_px=1295.0, principal_offset_px=(4.4, -2.9))
-    large, small = true_camera(lens, "large"), true_camera(scaled_lens(lens, (720, 540)), "small")
-    rays = np.random.default_rng(1).normal(0, 0.25, (50, 3)) + np.array([0, 0, 1])
-    # 1e-9 px: two evaluations of the same polynomial.
-    np.testing.assert_allclose(small.project(rays), 0.45 * large.project(rays), atol=1e-9)
-
-
-def test_another_proportion_cuts_rows_evenly_and_keeps_columns() -> None:
-    lens = TwinLens(size_px=(1600, 1200), focal_px=1295.0, principal_offset_px=(4.4, -2.9))
-    large, wide = true_camera(lens, "large"), true_camera(scaled_lens(lens, (800, 400)), "wide")
-    rays = np.array([[0.0, 0.0, 1.0], [0.3, 0.1, 1.0], [-0.2, -0.15, 1.0]])
-    expected = 0.5 * large.project(rays) - [0.0, 100.0]
-    np.testing.assert_allclose(wide.project(rays), expected, atol=1e-9)
 
 
 def test_poses_are_those_of_boat_and_mount_at_the_true_exposure() -> None:
@@ -71,10 +52,3 @@ def test_smear_is_the_way_of_a_place_in_the_image_while_the_shutter_is_open() ->
         # 0.01 px: GPS seconds of 3e8 step by 6e-8 s, that is 1e-4 of 0.8 ms; the motion is not quite even.
         np.testing.assert_allclose(shot.smear_px, at[1] - at[0], atol=0.01)
     assert max(np.hypot(*s.smear_px) for s in plan.shots) > 0.05
-
-
-def test_refusals_say_what_is_wrong() -> None:
-    with pytest.raises(ConfigError, match=r"mounts\.camera"):
-        plan_images(CONFIG, settings(), SEED, {"lidar": {}})
-    with pytest.raises(ConfigError, match="share"):
-        plan_images(CONFIG, settings(share=0.0), SEED, MOUNTS)

@@ -1,19 +1,13 @@
 """Control points: where they stand, who sees them, and their survey."""
 
-import json
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
-import pytest
 
-from tests.lab.time_lapse.conftest import CONFIG, FRAME, SEED, Reach, settings
-from thalweg.core import ConfigError
-from thalweg.images.model import ImagePoses
+from tests.lab.time_lapse.conftest import CONFIG, SEED, Reach, settings
 from thalweg_lab.reach import River
-from thalweg_lab.river import Material
-from thalweg_lab.time_lapse.foreground import place_targets
-from thalweg_lab.time_lapse.record import surveyed, write_poses, write_survey, write_truth
+from thalweg_lab.time_lapse.record import surveyed, write_survey
 
 
 def test_every_target_is_seen_free_and_large_enough(reach: Reach) -> None:
@@ -55,14 +49,6 @@ def test_targets_stand_on_the_right_bank_face_the_river_and_spread(reach: Reach)
     assert (np.sum(outward * targets.normal_wcs, axis=1) < 0).all()
 
 
-def test_the_other_bank_and_too_many_targets_are_refused(reach: Reach) -> None:
-    river, caster = River(CONFIG.scene, SEED), reach.scene.without(Material.WATER).caster()
-    plan = reach.recording.plan
-    for changes in ({"side": "left"}, {"n_targets": 200, "least_images": 12}):
-        with pytest.raises(ConfigError, match="n_targets"):
-            place_targets(river, caster, plan.camera, plan.poses, settings(**changes), SEED)
-
-
 def test_the_survey_errs_by_its_sigmas(reach: Reach, tmp_path: Path) -> None:
     targets = reach.recording.targets
     sigma = np.array([0.01, 0.02, 0.05])
@@ -87,16 +73,3 @@ def test_the_survey_errs_by_its_sigmas(reach: Reach, tmp_path: Path) -> None:
         "role",
     ]
     assert again["role"].tolist() == ["control", "check", "control", "control", "check"]
-
-
-def test_the_truth_holds_poses_and_camera(reach: Reach, tmp_path: Path) -> None:
-    recording = reach.recording
-    truth = tmp_path / "truth.json"
-    write_poses(tmp_path / "poses.parquet", recording.plan, FRAME)
-    write_truth(truth, recording.plan, recording.targets, np.zeros(len(recording.plan.shots)))
-    poses, facts = ImagePoses.read(tmp_path / "poses.parquet"), json.loads(truth.read_text())
-    assert len(poses.images) == len(facts["images"]) == len(recording.plan.shots)
-    true = recording.plan.shots[3].T_wcs_ccs
-    np.testing.assert_allclose(poses.R_wcs_ccs[3], true.R, atol=1e-12)
-    np.testing.assert_allclose(poses.centre_wcs_m[3], true.shift_m, atol=1e-12)
-    assert facts["camera"]["parameters"]["fx"] == pytest.approx(1858.0 * 480 / 2296)
