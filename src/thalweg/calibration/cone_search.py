@@ -287,8 +287,7 @@ def without_support(counts: Mapping[Verdict, int], *, least_points: int, least_s
     if sum(counts.values()) == 0:
         return (
             "no beam meets it: it stands outside of what the lidar sees or recorded (whole rotations?), "
-            "hidden, or "
-            f"too far off. Set it up beside the boat, in the plane in which the scanner turns, then {AGAIN}"
+            f"hidden, or too far off. Set it up beside the boat, in the plane in which the scanner turns, then {AGAIN}"
         )
     if before > used + through:
         return (
@@ -298,8 +297,7 @@ def without_support(counts: Mapping[Verdict, int], *, least_points: int, least_s
     if aimed < least_points:
         return (
             f"too few points: {aimed} beams meet it inside its outline, at least {least_points} are "
-            "needed. Record "
-            f"longer, or set it up nearer to the boat and amid the lidar's view; then {AGAIN}"
+            f"needed. Record longer, or set it up nearer to the boat and amid the lidar's view; then {AGAIN}"
         )
     if used < least_support * (used + through):
         return (

@@ -171,9 +171,7 @@ class CameraLidar:
 
     @property
     def group_sigma0(self) -> dict[str, float]:
-        """RMS of the standardised residuals of the lidar, and of reference points with exterior "
-        "orientations.
-        """
+        """RMS of standardised residuals: of the lidar, and of reference points with exterior orientations."""
         out = {}
         for kind in (LIDAR, FIELD):
             mine = [n for n in self.adjusted.group_sigma0 if n.split(" ")[0] == kind]
@@ -744,10 +742,8 @@ def foreign_markers(references: pd.DataFrame) -> list[str]:
             off = float(part["distance_mm"].abs().median())
             lines.append(
                 f"marker {name} of cone {cone} is {off:.1f} mm off its surface, and takes no part: it is "
-                "on another "
-                "cone than the description of the field says, not glued on it, or was moved between the "
-                "pictures. "
-                "Correct the description, photograph the field again, or leave it out"
+                "on another cone than the description of the field says, not glued on it, or was moved "
+                "between the pictures. Correct the description, photograph the field again, or leave it out"
             )
     return lines
 

@@ -172,8 +172,7 @@ def _contradiction(names: list[str], off_m: ArrayF) -> GeometryError:
         f"the RTK targets contradict the field by {distances_words(names, off_m)}",
         expected="at most one wrong target among four or more",
         cure="Check markers and coordinates (lat_deg, lon_deg) of the targets, those with the largest "
-        "distance "
-        "first, the lengths of the scale bars in metres, and the campaign's origin",
+        "distance first, the lengths of the scale bars in metres, and the campaign's origin",
     )
 
 

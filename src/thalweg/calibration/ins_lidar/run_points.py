@@ -188,8 +188,7 @@ def no_pose(trajectory: Trajectory, t_gps_s: ArrayF, n: int | None = None) -> Co
         + (f"; the lidar's log: {apart}" if apart else ", with gaps then"),
         expected="lidar, INS and positions of the same run, with poses while the lidar sees the cones",
         cure="Check that the logs belong together, the hour of the lidar's clock and its offset from UTC, "
-        "and the "
-        "gaps of INS and positions in the table of streams",
+        "and the gaps of INS and positions in the table of streams",
     )
 
 
@@ -282,8 +281,7 @@ class NearCones:
                 f"{east:+,.1f} m east, {north:+,.1f} m north, {up:+,.1f} m up of the middle of the points",
                 expected="a run past the cones of the field, in the world frame of its targets",
                 cure="Check coordinates (lat_deg, lon_deg), datum and ellipsoidal heights (the pole taken "
-                "off) of the "
-                "targets and of the base, and that the run was recorded at this field",
+                "off) of the targets and of the base, and that the run was recorded at this field",
             )
         return RunPoints.on(self.trajectory, rows[:, :3], rows[:, 3])
 

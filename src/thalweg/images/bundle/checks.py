@@ -265,8 +265,7 @@ def check_start(block: ImageBlock, start: Similarity, expected: Expected) -> lis
             f"trajectory, all alike, with positions that fit to {flat:.1f} m",
             expected="heights above the ellipsoid, as those of the trajectory",
             cure="Check the heights of the control points and of the base station; heights above the geoid "
-            "need its "
-            "height there as images.control.height_offset_m",
+            "need its height there as images.control.height_offset_m",
         )
     in_time, notes = fitted_in_time(block, expected)
     if notes and in_time.away_m(start, block) <= min(_BETTER * away, expected.limit_m):

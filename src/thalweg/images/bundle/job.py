@@ -872,9 +872,8 @@ def marks_of_campaign(
     notes = [*start.notes, *found.notes]
     if found.table.loc[found.table["used"].astype(bool), "point"].nunique() < LEAST:
         notes.append(
-            f"Of {len(control.names)} control points fewer than {LEAST} were found"
-            f". They are looked for within {3 * section.search_m:g} m of where clock, trajectory and mount "
-            "put them "
+            f"Of {len(control.names)} control points fewer than {LEAST} were found. They are looked for "
+            f"within {3 * section.search_m:g} m of where clock, trajectory and mount put them "
             "(images.control.search_m), as boards of images.control.board_m: check CRS and heights of the "
             "points"
         )
