@@ -287,7 +287,8 @@ def without_support(counts: Mapping[Verdict, int], *, least_points: int, least_s
     if sum(counts.values()) == 0:
         return (
             "no beam meets it: it stands outside of what the lidar sees or recorded (whole rotations?), "
-            f"hidden, or too far off. Set it up beside the boat, in the plane in which the scanner turns, then {AGAIN}"
+            "hidden, or too far off. Set it up beside the boat, in the plane in which the scanner turns, "
+            f"then {AGAIN}"
         )
     if before > used + through:
         return (
