@@ -51,7 +51,7 @@ def test_the_head_has_the_sigmas_and_what_residuals_say_of_them(boat, sigma0, ve
     assert findings == [
         Finding(
             "camera lidar",
-            "lever arm of 16.0 cm ± 1, 0.4, 0.2 mm, rotation ± 0.067, 0.035, 0.015 degrees",
+            "lever arm 16.0 cm; sigma about and along x, y, z: 0.067, 0.035, 0.015°, 1, 0.4, 0.2 mm",
             verdict,
         ),
         Finding("camera clock", "offset +2.3471 s, sigma 3.1 ms", verdict),
@@ -113,7 +113,7 @@ def test_the_page_is_whole(boat, tmp_path):
         "about one axis",
         "The antenna defines the origin",
         "Camera &amp; lidar",
-        "camera_lidar: x_ccs = R_ccs_scs @ x_scs",
+        "camera_lidar: x_ccs = R_ccs_scs x_scs",
     ):
         assert words in plain, words
     # metres of the truth are shown in millimetres
@@ -182,7 +182,7 @@ def test_long_tables_are_cut_and_reasons_counted(boat):
 
 def test_a_block_stands_once(boat):
     words = plain_text(calibration_page([boat, boat]))
-    assert words.count("lever arm of 16.0 cm") == 1
+    assert words.count("lever arm 16.0 cm") == 1
     assert "Block camera_lidar: as under Camera &amp; lidar." in words
 
 

@@ -425,7 +425,7 @@ def test_the_verdict_states_volumes_registration_and_what_was_not_seen(facts):
     )
     assert "patch of erosion has 12.5 m², −3.8 m³" in words
     assert "up +5.0 ± 1.0 cm: more than the errors of both surveys explain" in words
-    assert "does not show a shift along 90° (azimuth)" in words
+    assert "does not determine a shift along 90° (azimuth)" in words
     assert "20.5 m² (14.3 % of 144 m²) have no data in" in words
 
 
@@ -491,7 +491,7 @@ def test_without_a_sigma_and_drawn_ground_there_is_no_verdict(bank, facts):
         volumes=facts.volumes.assign(low_m3=-3.0, high_m3=-0.5),
     )  # fmt: skip
     lead, findings = head([silent])
-    assert "no verdict: no sigma_m is stated or estimated of both epochs" in lead
+    assert "no verdict: no standard deviation is stated or estimated for both epochs" in lead
     assert "a common offset may remain. The majority of the surface suggests −20.4 cm" in lead
     assert not [each for each in findings if "significant" in each.verdict]
     assert findings[4].value == "none"

@@ -194,7 +194,7 @@ def test_a_survey_at_a_glance(tmp_path: Path) -> None:
     for told in (
         "Survey &lt;1&gt; Digital twin: simulated instruments wrote these logs · 2017-05-12, 18:44:55 to",
         # from second to second: all poses of the wave are 130 m
-        "UTC · track of 126 m · 51.0500°N, 13.2500°E · map EPSG:25833, ellipsoidal heights",
+        "UTC · track of 126 m · 51.0502° N, 13.2507° E · map EPSG:25833, ellipsoidal heights",
         # the best trajectory has a gap of 20 poses: from the last one before it to the first one after it
         "position of the boat, median 3D σ, all sensors 3.5 cm 1 gap, 2.1 s",
         "cloud to reference, RMSE, all sensors 5.0 cm predicted 5.0 cm: consistent",

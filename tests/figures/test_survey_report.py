@@ -140,7 +140,7 @@ def test_a_survey_has_the_sections_of_a_report_in_their_order(written) -> None:
     [levers] = [
         part["rows"] for part in section(document, "Offsets and calibration") if part["kind"] == "table"
     ]
-    assert levers == [["echo sounder", "0.2000 ± 0.005", "0.0000 ± 0.005", "−1.5000 ± 0.01", "campaign"]]
+    assert levers == [["echo sounder", "0.2000 ± 0.0050", "0.0000 ± 0.0050", "−1.500 ± 0.010", "campaign"]]
     facts = dict(document["facts"])
     # 40 s from the example of core.timescales
     assert facts["Survey"] == "2017-05-12, 18:44:55 to 18:45:35 UTC"

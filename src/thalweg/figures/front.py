@@ -19,7 +19,7 @@ from thalweg.figures.accuracy import centimetres
 from thalweg.figures.page import Finding, Page, escape, findings_html, findings_of, small_picture
 from thalweg.figures.products import MAP_FILES, OWN_FILES, Product, products_of
 from thalweg.figures.style import count, note_of, plural
-from thalweg.figures.survey import track_gaps
+from thalweg.figures.survey import centre_in_words, track_gaps, track_length_m
 from thalweg.ingest import IntegrityReport
 
 _HEADING: Final = re.compile(r"<h1>(.*?)</h1>\s*(?:<p>(.*?)</p>)?", re.DOTALL)
@@ -169,12 +169,8 @@ def _facts(track: Trajectory | None, crs: str) -> Iterator[str]:
     if track is not None:
         first, last = (utc_text_from_gps(t, 0) for t in track.span())
         yield f"{first[:10]}, {first[11:19]} to {last[11:19]} UTC"
-        # by seconds: the noise of each pose is no way travelled
-        _, by_second = np.unique(track.t_gps_s[track.valid].astype(np.int64), return_index=True)
-        steps = np.diff(track.position_wcs_m[track.valid, :2][by_second], axis=0)
-        yield f"track of {np.hypot(*steps.T).sum():.0f} m"
-        lat, lon = track.frame.lat_deg, track.frame.lon_deg
-        yield f"{abs(lat):.4f}°{'N' if lat >= 0 else 'S'}, {abs(lon):.4f}°{'E' if lon >= 0 else 'W'}"
+        yield f"track of {count(track_length_m(track))} m"
+        yield centre_in_words(track)
     if crs != "local":
         system = CRS.from_user_input(crs)
         heights = f"heights {system.sub_crs_list[1].name}" if system.is_compound else "ellipsoidal heights"

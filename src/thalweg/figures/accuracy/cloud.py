@@ -69,7 +69,11 @@ def distances_in_plan(table: pd.DataFrame, *, title: str = "Distances to the ref
 
 
 def cloud_page(
-    facts: Mapping[str, Any], pictures: Pictures, *, captions: Mapping[str, str] = CAPTIONS, title: str
+    facts: Mapping[str, Any],
+    pictures: Pictures,
+    *,
+    captions: Mapping[str, str] = CAPTIONS,
+    title: str = "Accuracy",
 ) -> Page:
     """The page of a finished cloud that was compared with a reference.
 

@@ -349,7 +349,7 @@ def _block_in_words(calibration: Calibration, block: Block) -> str:
         turn = ", ".join(f"{s:.3g}" for s in sigma[:3])
         lever = ", ".join(f"{1e3 * s:.2g}" for s in sigma[3:])
         length = 100 * float(np.linalg.norm(values[3:]))
-        return f"lever arm of {length:.1f} cm ± {lever} mm, rotation ± {turn} degrees"
+        return f"lever arm {length:.1f} cm; sigma about and along x, y, z: {turn}°, {lever} mm"
     if "offset_s" in block.quantities:
         k = block.quantities.index("offset_s")
         return f"offset {values[k]:+.4f} s, sigma {1e3 * sigma[k]:.2g} ms"
@@ -373,7 +373,7 @@ def _result(page: Page, calibration: Calibration, shown: dict[str, tuple[str, An
             page.text(f"Block {block.name}: as under {before}.")
             continue
         shown[block.name], new = (calibration.title, values), True
-        page.table(block_table(calibration, block), f"{block.name}: {block.equation}")
+        page.table(block_table(calibration, block), f"{block.name}: {block.equation}".replace(" @ ", " "))
         known_facts = ", ".join(f"{key.replace('_', ' ')}: {value}" for key, value in block.facts.items())
         remarks = [_sentence(block.convention), _sentence(known_facts), PUBLISHED.get(block.name, "")]
         if any(remarks):

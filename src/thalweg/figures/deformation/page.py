@@ -201,7 +201,7 @@ def cubic_metres(row: Mapping[str, float]) -> str:
 def told(row: Mapping[str, float], *, known: bool) -> str:
     """What a volume and its interval say; nothing where no sigma is stated or estimated."""
     if not known:
-        return "no verdict: no sigma_m is stated or estimated"
+        return "no verdict: no standard deviation is stated or estimated"
     return "significant at 95 %" if row["low_m3"] > 0 or row["high_m3"] < 0 else "not significant at 95 %"
 
 
@@ -283,7 +283,7 @@ def head(pairs: Sequence[PairFacts]) -> tuple[str, list[Finding]]:
         ),
     ]
     lead = (
-        f"the net volume is {verdicts['net']}." if pair.sigma_known else f"{verdicts['net']} of both epochs."
+        f"the net volume is {verdicts['net']}." if pair.sigma_known else f"{verdicts['net']} for both epochs."
     )
     if "would_be" in pair.registration:
         value = signed(100 * pair.registration["would_be"]["up_m"], 1)
@@ -371,7 +371,9 @@ def _motion(registration: Mapping[str, Any]) -> str:
     )
     hidden = [direction(each) for each in registration["not_shown"]]
     return words + (
-        f" Stable ground does not show {' and '.join(hidden)}, which stays uncorrected." if hidden else ""
+        f" Stable ground does not determine {' and '.join(hidden)}, which stays uncorrected."
+        if hidden
+        else ""
     )
 
 
@@ -648,13 +650,13 @@ def _series(page: Page, facts: Mapping[str, Any], rates: pd.DataFrame, *, by_boa
             "epoch": rows["epoch"] + 1,
             "campaign": rows["name"],
             "n": rows["n"],
-            "median from the one before": 100 * rows["before_m"],
-            "median to the next": 100 * rows["after_m"],
-            "go and come back": 100 * rows["share"],
+            "median change from the previous": 100 * rows["before_m"],
+            "median change to the next": 100 * rows["after_m"],
+            "reversed": 100 * rows["share"],
             "flagged": np.where(rows["flagged"], "yes", "no"),
         }
     )
-    units = {"median from the one before": "cm", "median to the next": "cm", "go and come back": "%"}
+    units = {"median change from the previous": "cm", "median change to the next": "cm", "reversed": "%"}
     page.table(shown, "Test of each epoch for a jump, before any registration", units, digits=2)
     if len(rates):
         columns = ["line", "s_from_m", "s_to_m", "cores", "n_epochs", "lrr_m_a", "sigma_lrr_m_a"]
@@ -703,12 +705,12 @@ def _registration(page: Page, pairs: Sequence[PairFacts]) -> None:
                 "model": found["model"],
                 "stable ground": found["areas"],
                 "stable core points": int(found["stable_cores"]),
-                "of bare ones": int(found["candidates"]),
+                "bare core points": int(found["candidates"]),
                 "chi-squared": float(found["test_statistic"]),
                 "degrees of freedom": int(found["degrees_of_freedom"]),
                 "p": float(found["p_value"]),
                 "needed": "yes" if found["needed"] else "no",
-                "not shown": "; ".join(direction(each) for each in found["not_shown"]) or "–",
+                "not determined": "; ".join(direction(each) for each in found["not_shown"]) or "–",
             }
         )
     if rows:
@@ -760,7 +762,6 @@ def _epochs(page: Page, epochs: Sequence[Mapping[str, Any]]) -> None:
             "campaign": each["name"],
             "start": utc_text_from_gps(each["start_gps_s"], 0),
             "points": int(each["points"]),
-            "moments": int(each["moments"]),
         }
         for i, each in enumerate(epochs, start=1)
     ]

@@ -21,6 +21,7 @@ from thalweg.figures import (
     plural,
     styled,
 )
+from thalweg.figures.calibration import with_units
 
 _AXES: Final = (("x", BLUE, "o"), ("y", VERMILION, "s"), ("z", GREEN, "^"))
 _MOST_NAMES: Final = 24
@@ -78,7 +79,7 @@ def fixed_camera_page(
     pictures: Pictures,
     *,
     captions: Mapping[str, str],
-    title: str,
+    title: str = "Fixed camera",
 ) -> Page:
     """The page of a camera that stays.
 
@@ -111,7 +112,7 @@ def fixed_camera_page(
             f"{facts['with_pose']} of {facts['pictures']}",
             f"{missing} refused" if missing else "",
         ),
-        Finding("position, mean, x / y / z", f"{metres('place_m')} m"),
+        Finding("position, mean, x, y, z", f"{metres('place_m')} m"),
         Finding("its standard deviation, one picture", f"{metres('sigma_m')} m"),
         Finding("spread from picture to picture", spread, still),
         Finding("rms of the marks", f"{facts['rms_px']:.2f} px"),
@@ -122,8 +123,10 @@ def fixed_camera_page(
     ]
     page = Page(title, f"From picture to picture: {still}.", findings)
     page.pictures(pictures, captions, section="History")
-    shown = poses.drop(columns=[f"q{a}" for a in "xyzw"]).fillna({"refused": ""})
-    page.section("Pictures").table(shown, "Pose of each picture, or why there is none.", digits=5)
+    shown = poses.filter(regex="^(?!q.$|sigma_change)").fillna({"refused": ""})
+    shown.insert(1, "refused", shown.pop("refused"))
+    shown, units = with_units(shown)
+    page.section("Pictures").table(shown, "Pose of each picture, or why there is none.", units, digits=5)
     if facts["notes"]:
         page.section("Notes").lines(facts["notes"])
     return page

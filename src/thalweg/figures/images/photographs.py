@@ -48,6 +48,7 @@ from thalweg.figures import (
     styled,
 )
 from thalweg.figures.accuracy import round_above
+from thalweg.figures.calibration import with_units
 from thalweg.figures.survey import map_extent, plain_numbers, sigma_norm
 from thalweg.images import read_all_control_points
 from thalweg.images.model import ControlPoints, ImagePoses
@@ -501,7 +502,8 @@ def _add_points(page: Page, control: pd.DataFrame, axes: tuple[str, str, str], w
         for s in ("", "sigma_")
     }
     shown = control[["point", "role", "images", "rms_px", *names, "normalised", "suspect", "reason"]]
-    page.table(shown.rename(columns=names), words, dict.fromkeys(names.values(), "mm"), digits=3)
+    units = dict.fromkeys(names.values(), "mm") | {"rms": "px"}
+    page.table(shown.rename(columns=names | {"rms_px": "rms"}), words, units, digits=3)
 
 
 def orientation_page(
@@ -511,7 +513,7 @@ def orientation_page(
     pictures: Pictures,
     *,
     captions: Mapping[str, str],
-    title: str,
+    title: str = "Photographs",
 ) -> Page:
     """The page of photographs that were oriented by control points or positions.
 
@@ -564,9 +566,9 @@ def orientation_page(
             columns=["parameter", "value", "sigma"],
         )
         page.table(lens, f"Interior orientation of {name}: focal lengths and principal point in pixels.")
-    page.section("Photographs").table(
-        images, "Each photograph: image points, residuals, standard deviations of its pose.", digits=3
-    )
+    shown, units = with_units(images)
+    words = "Each photograph: image points, residuals, standard deviations of its pose."
+    page.section("Photographs").table(shown, words, units, digits=3)
     page.section("Notes").lines(list(facts["notes"]) or ["none"])
     return page
 
@@ -578,7 +580,7 @@ def finished_page(
     pictures: Pictures,
     *,
     captions: Mapping[str, str],
-    title: str,
+    title: str = "Photographs",
 ) -> Page:
     """The page of photographs without a boat that another program has oriented.
 
@@ -611,6 +613,8 @@ def finished_page(
             "Intersected minus surveyed; normalised: its square over the predicted one. Poses of different "
             "photographs count as independent.",
         )
-    page.section("Photographs").table(poses.drop(columns=[f"q{a}" for a in "xyzw"]), "Poses.", digits=9)
+    # millimetres of coordinates on a map
+    shown, units = with_units(poses.drop(columns=[f"q{a}" for a in "xyzw"]).round(3))
+    page.section("Photographs").table(shown, "Poses.", units, digits=10)
     page.section("Notes").lines(list(facts["notes"]) or ["none"])
     return page

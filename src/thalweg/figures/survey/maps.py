@@ -143,6 +143,20 @@ def track_gaps(trajectory: Trajectory) -> list[tuple[float, float]]:
     return [(float(t[i]), float(t[i + 1] - t[i])) for i in broken]
 
 
+def track_length_m(trajectory: Trajectory) -> float:
+    """Horizontal length of the track by seconds: the noise of each pose is no way travelled."""
+    _, by_second = np.unique(trajectory.t_gps_s[trajectory.valid].astype(np.int64), return_index=True)
+    steps = np.diff(trajectory.position_wcs_m[trajectory.valid, :2][by_second], axis=0)
+    return float(np.hypot(*steps.T).sum())
+
+
+def centre_in_words(trajectory: Trajectory) -> str:
+    """Latitude and longitude of the middle of the track: ``51.0500° N, 13.2500° E``."""
+    middle = trajectory.position_wcs_m[trajectory.valid].mean(axis=0)
+    (lat,), (lon,), _ = trajectory.frame.to_geodetic(middle[None])
+    return f"{abs(lat):.4f}° {'N' if lat >= 0 else 'S'}, {abs(lon):.4f}° {'E' if lon >= 0 else 'W'}"
+
+
 def map_extent(track: ArrayF, cloud: ArrayF | None) -> tuple[ArrayF, ArrayF]:
     """Lower and upper east, north of a map: the track with the bulk of the cloud and a margin.
 

@@ -26,6 +26,8 @@ from thalweg.accuracy import number_text, verdict_of, verdict_of_ratio
 from thalweg.bathymetry import REASONS, S44
 from thalweg.core import Trajectory, final_path, optional, read_json, unix_from_gps, utc_text_from_gps
 from thalweg.figures import TWIN_MARK, count, note_of, number, plural
+from thalweg.figures.survey import centre_in_words, track_length_m
+from thalweg.ingest.registry import with_sigma
 
 typst = optional("typst")
 
@@ -190,22 +192,16 @@ def _survey(
     page: _Report, path: Trajectory, crs: CRS, settings: Mapping[str, Any]
 ) -> tuple[list[tuple[str, str]], float]:
     """All sections of a survey; facts of the title page, and its end in Unix seconds."""
-    place = path.position_wcs_m[path.valid]
     times = path.t_gps_s[path.valid]
-    each_s = np.unique(np.searchsorted(times, np.arange(times[0], times[-1], 1.0)))
-    length_m = float(np.linalg.norm(np.diff(place[each_s], axis=0), axis=1).sum())
+    length_m = track_length_m(path)
     first, last = (utc_text_from_gps(float(t), 0) for t in times[[0, -1]])
-    lat, lon, _ = path.frame.to_geodetic(place.mean(axis=0)[None])
-    centre = (
-        f"{abs(lat[0]):.5f}° {'N' if lat[0] >= 0 else 'S'}, {abs(lon[0]):.5f}° {'E' if lon[0] >= 0 else 'W'}"
-    )
     day, end = first[:10], (last[11:19] if last[:10] == first[:10] else f"{last[:10]} {last[11:19]}")
     when = f"{day}, {first[11:19]} to {end} UTC"
     found = _streams(page.records("timing/streams.csv"))
     order = _order(page)
     facts = [
         ("Survey", when),
-        ("Place", centre),
+        ("Place", centre_in_words(path)),
         ("Track", f"{count(length_m)} m in {(times[-1] - times[0]) / 60:.1f} min"),
         ("Instruments", ", ".join(dict.fromkeys(f"{row[1]} ({row[0]})" for row in found))),
         ("Map grid", f"{crs.name} ({settings['campaign']['crs']})"),
@@ -291,12 +287,12 @@ def _summary(page: _Report, path: Trajectory, order: tuple[str, str] | None) -> 
     if (bed := page.json("bathymetry/variogram.json")) is not None:
         rows.append(("Coverage", "area of the bed", f"{count(bed['facts']['area_m2'])} m²"))
         rows.append(
-            ("Uncertainty", "sigma of a cell of the bed, median", _cm(bed["facts"]["median sigma_m"]))
+            ("Uncertainty", "sigma of a cell of the bed, median", _length(bed["facts"]["median sigma_m"]))
         )
     if (left := page.json("bathymetry/validation.json")) is not None:
-        rows.append(("Uncertainty", f"bed at {left['lines']} left-out lines, RMSE", _cm(left["rmse_m"])))
+        rows.append(("Uncertainty", f"bed at {left['lines']} left-out lines, RMSE", _length(left["rmse_m"])))
     if (distances := _reference(page)) is not None:
-        rows.append(("Uncertainty", "cloud against a reference, RMSE", _cm(distances["rmse"])))
+        rows.append(("Uncertainty", "cloud against a reference, RMSE", _length(distances["rmse"])))
     if order is not None:
         rows.append(("Order", "IHO S-44", order[0]))
     page.table(("section", "quantity", "value"), rows, "The survey in figures.", words=2)
@@ -368,8 +364,8 @@ def _offsets(page: _Report, settings: Mapping[str, Any]) -> None:
         return
     echo, water = settings["echo_sounder"], facts["water_temperature_c"]
     page.text(
-        f"Echo sounder: beam of {echo['beam_deg']:g}°, noise of a depth {_cm(echo['sigma_depth_m'])}, dead "
-        f"zone {echo['dead_zone_m']:g} m. Depths are multiplied by {facts['sound_factor']:.5f} ± "
+        f"Echo sounder: beam of {echo['beam_deg']:g}°, noise of a depth {_length(echo['sigma_depth_m'])}, "
+        f"dead zone {echo['dead_zone_m']:g} m. Depths are multiplied by {facts['sound_factor']:.5f} ± "
         f"{facts['sigma_sound_factor']:.5f} for the speed of sound"
         + (f" (water of {water:.1f} °C)." if water is not None else " (its temperature was not recorded)."),
         f"The position of the transducer is that of the {facts['place_from']}; its stamps are corrected by "
@@ -483,7 +479,7 @@ def _uncertainty(page: _Report, path: Trajectory) -> None:
     soundings = page.csv("bathymetry/soundings.csv")
     if soundings is not None:
         rows = [
-            (words, *(_cm(v) for v in soundings[column].quantile([0.5, 0.95])))
+            (words, *(_length(v) for v in soundings[column].quantile([0.5, 0.95])))
             for column, words in (
                 ("sigma", "height, standard deviation"), ("sigma_horizontal", "position, standard deviation"),
                 ("tvu_95", "total vertical uncertainty, 95 %"),
@@ -493,8 +489,8 @@ def _uncertainty(page: _Report, path: Trajectory) -> None:
         page.table(("sounding", "median", "95 % are below"), rows, "Predicted uncertainty of the soundings.")
         found = (page.json("bathymetry/soundings.json") or {})["crossings"]
         page.text(
-            f"Lines cross at {count(found['n'])} places, where heights differ by {_cm(found['rms_m'])} "
-            f"(root mean square); {_cm(found['predicted_m'])} were predicted."
+            f"Lines cross at {count(found['n'])} places, where heights differ by {_length(found['rms_m'])} "
+            f"(root mean square); {_length(found['predicted_m'])} were predicted."
             if found["n"]
             else "No line crosses another: slow errors were not checked by crossings."
         )
@@ -502,13 +498,13 @@ def _uncertainty(page: _Report, path: Trajectory) -> None:
     if left is not None:
         page.text(
             f"Left-out lines: each of {left['lines']} lines was predicted from the others. The differences "
-            f"have an RMSE of {_cm(left['rmse_m'])} and a mean of {_cm(left['bias_m'], '+')}; their "
+            f"have an RMSE of {_length(left['rmse_m'])} and a mean of {_length(left['bias_m'], '+')}; their "
             f"squares are {left['normalised_square']:.2f} times the predicted variances, and "
             f"{100 * left['outside_95']:.1f} % lie outside their interval of 95 %. The predicted standard "
             f"deviations of the bed {_VERDICTS[verdict_of(left['normalised_square'], left['lines'])]}."
         )
         rows = [
-            (name, count(of["n"]), _cm(of["rmse_m"]), f"{of['normalised_square']:.2f}")
+            (name, count(of["n"]), _length(of["rmse_m"]), f"{of['normalised_square']:.2f}")
             for name, of in left.get("classes", {}).items()
         ]
         page.table(("class", "n", "RMSE", "square / variance"), rows, "Left-out lines by class.")
@@ -520,9 +516,9 @@ def _uncertainty(page: _Report, path: Trajectory) -> None:
         verdict = verdict_of_ratio(*(distances[name] for name in ("ratio", "ratio_low95", "ratio_high95")))
         page.text(
             f"Against a reference, {count(distances['n'])} points without outliers "
-            f"({count(distances['outliers'])} outliers): mean distance {_cm(distances['bias'], '+')}, RMSE "
-            f"{_cm(distances['rmse'])}, predicted {_cm(distances['predicted_rmse'])}. The predicted "
-            f"standard deviations {_VERDICTS[verdict]}."
+            f"({count(distances['outliers'])} outliers): mean distance {_length(distances['bias'], '+')}, "
+            f"RMSE {_length(distances['rmse'])}, predicted {_length(distances['predicted_rmse'])}. "
+            f"The predicted standard deviations {_VERDICTS[verdict]}."
         )
         page.figures("distance_map")
     truth = page.records("accuracy/truth_riverbed.csv")[:_OF_TRUTH]
@@ -634,7 +630,7 @@ def _change(page: _Report, crs: CRS, settings: Mapping[str, Any]) -> tuple[list[
         page.table(columns, rows, f"Volumes of change, {words}.")
         patches = page.records(f"deformation/patches_{pair}.csv")
         rows = [
-            (r["what"], _n(r["area_m2"], 1), _n(r["volume_m3"], 2, "+"), _cm(r["mean_distance_m"], "+"))
+            (r["what"], _n(r["area_m2"], 1), _n(r["volume_m3"], 2, "+"), _length(r["mean_distance_m"], "+"))
             for r in patches[:_PATCHES]
         ]
         columns = ("patch", "area [m²]", "volume [m³]", "mean distance")
@@ -686,7 +682,7 @@ def _limits(page: _Report, *, twin: bool) -> None:
     if bed is not None and bed["facts"].get("light sheet left out"):
         above_m = bed["facts"]["light sheet above the soundings_m"]
         items.append(
-            f"The light sheet lies {_cm(above_m, '+')} from the bed of the soundings, more than both "
+            f"The light sheet lies {_length(above_m, '+')} from the bed of the soundings, more than both "
             "standard deviations explain: one of both is wrong. It has no part in the bed."
         )
     if page.csv("lidar/counts.csv") is not None:
@@ -694,7 +690,12 @@ def _limits(page: _Report, *, twin: bool) -> None:
             "Banks are as the lidar saw them from the water: what plants, walls or the boat hid is not in "
             "the cloud."
         )
-    items += [f"{found['stream']}, as read: {note}" for found in page.integrity() for note in found["notes"]]
+    # streams of one file have the same notes
+    streams: dict[str, list[str]] = {}
+    for found in page.integrity():
+        for note in found["notes"]:
+            streams.setdefault(note, []).append(found["stream"])
+    items += [f"{', '.join(names)}, as read: {note}" for note, names in streams.items()]
     if any(name.startswith("deformation/") for name in page.files):
         items.append(
             "What an epoch did not see is not called eroded: its area stands in the table of volumes."
@@ -720,13 +721,9 @@ def _sentence(note: str) -> str:
     return f"{note[0].upper()}{note[1:].rstrip('.')}."
 
 
-def _length(metres: float) -> str:
-    return f"{_n(1000 * metres, 1)} mm" if metres < 1 else f"{_n(metres, 2)} m"
-
-
-def _cm(metres: float, sign: str = "") -> str:
-    return f"{_n(100 * metres, 1, sign)} cm"
+def _length(metres: float, sign: str = "") -> str:
+    return f"{_n(metres, 2, sign)} m" if abs(metres) >= 1 else f"{_n(100 * metres, 1, sign)} cm"
 
 
 def _with_sigma(values: Sequence[float], sigmas: Sequence[float]) -> list[str]:
-    return [f"{_n(value, 4)} ± {sigma:.1g}" for value, sigma in zip(values, sigmas, strict=True)]
+    return [with_sigma(*each).replace("-", "−") for each in zip(values, sigmas, strict=True)]

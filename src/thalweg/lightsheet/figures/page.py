@@ -397,8 +397,8 @@ def _calibrated(page: Page, calibration: Mapping[str, Any], camera: Mapping[str,
         _units(
             page,
             sigmas,
-            "Sigma of a depth that the calibration leaves, without the noise of the line; "
-            "uncorrelated: the same sigmas without correlations",
+            "Largest standard deviation of a depth by the calibration alone, without the noise of the line; "
+            "uncorrelated: correlations neglected",
         )
 
 
