@@ -140,7 +140,7 @@ def solve(run: Run, *, attitude: bool = False, options: OffsetOptions | None = N
 
 
 @pytest.mark.slow
-def test_a_run_of_four_minutes_finds_its_offset_within_a_millisecond() -> None:
+def test_a_run_of_four_minutes_finds_its_offset_within_a_millisecond():
     """The acceptance: median error of the mean offset of a run below 1 ms with 23 ms of jitter."""
     rows = []
     for seed in range(60):
@@ -163,7 +163,7 @@ def test_a_run_of_four_minutes_finds_its_offset_within_a_millisecond() -> None:
     assert np.median(np.abs(error_c)) < 1.5e-3
 
 
-def test_without_jitter_both_definitions_are_one() -> None:
+def test_without_jitter_both_definitions_are_one():
     run = simulate(7, 100, jitter_s=0.0)
     found = solve(run, attitude=True)
     assert found.clock.jitter_s < 0.003
@@ -171,7 +171,7 @@ def test_without_jitter_both_definitions_are_one() -> None:
     assert found.clock.offset_s == pytest.approx(OFFSET_S, abs=4 * found.clock.sigma_offset_s)
 
 
-def test_the_jitter_of_an_image_is_found_with_the_attitude() -> None:
+def test_the_jitter_of_an_image_is_found_with_the_attitude():
     """23 ms a stamp become 8 ms: 0.05 degrees at 10 degrees/s."""
     run = simulate(3, 100)
     found = solve(run, attitude=True)
@@ -182,7 +182,7 @@ def test_the_jitter_of_an_image_is_found_with_the_attitude() -> None:
     assert found.images["sigma_best_s"].mean() == pytest.approx(best, rel=0.4)
 
 
-def test_drift_is_found_and_a_prior_keeps_it_sane() -> None:
+def test_drift_is_found_and_a_prior_keeps_it_sane():
     run = simulate(11, 150, drift=400e-6, jitter_s=0.002)
     wide = solve(run, attitude=True, options=OffsetOptions(sigma_drift=1e-3))
     assert wide.clock.drift == pytest.approx(400e-6, abs=4 * wide.clock.sigma_drift)
@@ -191,7 +191,7 @@ def test_drift_is_found_and_a_prior_keeps_it_sane() -> None:
     assert abs(held.clock.drift) < 1e-9
 
 
-def test_wrong_poses_are_taken_out_and_do_not_matter() -> None:
+def test_wrong_poses_are_taken_out_and_do_not_matter():
     run = simulate(21, 100, wrong=5)
     found = solve(run, attitude=True)
     left = found.images[~found.images["used"]]
@@ -215,9 +215,7 @@ def test_wrong_poses_are_taken_out_and_do_not_matter() -> None:
     ],
 )
 @pytest.mark.parametrize("attitude", [False, True])
-def test_motions_that_do_not_tell_the_time_are_refused(
-    kind: str, missing: tuple[str, ...], attitude: bool
-) -> None:
+def test_motions_that_do_not_tell_the_time_are_refused(kind, missing, attitude):
     with pytest.raises(MissingMotionError) as error:
         solve(simulate(3, 80, kind), attitude=attitude)
     assert error.value.missing == missing
@@ -225,14 +223,14 @@ def test_motions_that_do_not_tell_the_time_are_refused(
     assert "Record again with" in str(error.value)
 
 
-def test_changes_of_speed_are_enough_on_a_straight_course() -> None:
+def test_changes_of_speed_are_enough_on_a_straight_course():
     run = simulate(4, 150, "straight with changes of speed")
     found = solve(run)
     assert found.clock.offset_s == pytest.approx(OFFSET_S, abs=4 * found.clock.sigma_offset_s)
 
 
 @pytest.mark.parametrize("sigma_m", [0.002, 0.0])
-def test_a_known_lever_arm_makes_a_straight_run_do(sigma_m: float) -> None:
+def test_a_known_lever_arm_makes_a_straight_run_do(sigma_m):
     # 20 mm of positions and 10 mm of the field, all along the course, at 0.8 m/s; an antenna that a campaign
     # states without a sigma was a matrix of zeros that stopped the job
     options = OffsetOptions(lever_m=LEVER_CCS, cov_lever_m2=np.eye(3) * sigma_m**2, largest_sigma_s=0.05)
@@ -241,7 +239,7 @@ def test_a_known_lever_arm_makes_a_straight_run_do(sigma_m: float) -> None:
     assert found.clock.offset_s == pytest.approx(OFFSET_S, abs=4 * found.clock.sigma_offset_s)
 
 
-def test_a_run_too_short_for_slow_errors_of_the_ins_starts_with_its_attitude() -> None:
+def test_a_run_too_short_for_slow_errors_of_the_ins_starts_with_its_attitude():
     # 26 s have no period above 60 s: the turn between INS and camera was then never set
     run = simulate(5, 26)
     assert run.ins.high_pass_s > 2 * 26
@@ -258,7 +256,7 @@ def test_a_run_too_short_for_slow_errors_of_the_ins_starts_with_its_attitude() -
         (500.0, "images and positions of one run"),
     ],
 )
-def test_runs_that_do_not_overlap_are_refused_and_whole_hours_named(shift: float, words: str) -> None:
+def test_runs_that_do_not_overlap_are_refused_and_whole_hours_named(shift, words):
     run = simulate(5)
     moved = replace(run.poses, t_device_s=run.poses.t_device_s + shift)
     with pytest.raises(ClockError, match="do not overlap") as error:
@@ -266,7 +264,7 @@ def test_runs_that_do_not_overlap_are_refused_and_whole_hours_named(shift: float
     assert words in str(error.value)
 
 
-def test_leap_seconds_are_found_and_named() -> None:
+def test_leap_seconds_are_found_and_named():
     run = simulate(5)
     moved = replace(run.poses, t_device_s=run.poses.t_device_s + 18.0)
     found = camera_offset(moved, run.track, field_error=run.field)
@@ -274,14 +272,14 @@ def test_leap_seconds_are_found_and_named() -> None:
     assert any("leap seconds" in note for note in found.clock.notes)
 
 
-def test_poses_in_another_frame_are_refused() -> None:
+def test_poses_in_another_frame_are_refused():
     run = simulate(5)
     moved = replace(run.poses, centre_wcs_m=run.poses.centre_wcs_m + np.array([40.0, 0.0, 0.0]))
     with pytest.raises(ClockError, match="within 3 m of the camera"):
         camera_offset(moved, run.track)
 
 
-def test_gaps_of_the_positions_are_counted_and_too_many_refused() -> None:
+def test_gaps_of_the_positions_are_counted_and_too_many_refused():
     run = simulate(6, 80)
     t = run.track.t_gps_s - T0
     keep = ~((t > 40) & (t < 52))
@@ -307,7 +305,7 @@ def test_gaps_of_the_positions_are_counted_and_too_many_refused() -> None:
         camera_offset(run.poses.take(np.arange(5)), run.track)
 
 
-def test_sigmas_that_are_too_small_are_noticed() -> None:
+def test_sigmas_that_are_too_small_are_noticed():
     run = simulate(8, 100)
     track = replace(run.track, cov_m2=run.track.cov_m2 / 9)
     poses = replace(run.poses, cov_pose_wcs=run.poses.cov_pose_wcs / 9)
@@ -323,7 +321,7 @@ def test_sigmas_that_are_too_small_are_noticed() -> None:
     assert np.array_equal(found.clock.cov, found.cov[:2, :2])
 
 
-def test_jitters_make_up_for_an_uncertain_clock() -> None:
+def test_jitters_make_up_for_an_uncertain_clock():
     """With jitters of any size an image's own time does not hang on how well the clock's offset is known."""
     run = simulate(12, 100)
     found = solve(run, attitude=True)
@@ -352,7 +350,7 @@ def test_jitters_make_up_for_an_uncertain_clock() -> None:
 # ---------------------------------------------------------------- its parts
 
 
-def test_a_track_reproduces_a_cubic_and_its_slope() -> None:
+def test_a_track_reproduces_a_cubic_and_its_slope():
     t = T0 + np.arange(0.0, 5.0, 0.1)
     s = t - T0
     x = np.column_stack([0.3 * s**3 - s, s**2, 1.0 - s])
@@ -370,7 +368,7 @@ def test_a_track_reproduces_a_cubic_and_its_slope() -> None:
     assert not track.at([T0 - 1.0, T0 + 0.05, T0 + 6.0]).inside.any()
 
 
-def test_the_covariance_of_a_track_is_that_of_its_errors() -> None:
+def test_the_covariance_of_a_track_is_that_of_its_errors():
     """Scatter of 4000 simulated tracks at three times, two of them in one window."""
     rng = np.random.default_rng(9)
     t = np.arange(0.0, 6.0, 0.1)
@@ -395,7 +393,7 @@ def test_the_covariance_of_a_track_is_that_of_its_errors() -> None:
         assert np.allclose(cov[1::3, ::3], 0.0)
 
 
-def test_slopes_have_no_noise_in_common_with_positions() -> None:
+def test_slopes_have_no_noise_in_common_with_positions():
     """At the middle between two epochs, and at an epoch, the bias of an offset would be largest."""
     t = np.arange(0.0, 6.0, 0.1)
     track = Track(t_gps_s=t, position_m=np.zeros((60, 3)), cov_m2=np.tile(np.eye(3), (60, 1, 1)))
@@ -405,7 +403,7 @@ def test_slopes_have_no_noise_in_common_with_positions() -> None:
     assert np.abs(common).max() < 0.05
 
 
-def test_the_variance_of_random_effects() -> None:
+def test_the_variance_of_random_effects():
     rng = np.random.default_rng(4)
     found = []
     for _ in range(60):
@@ -428,12 +426,10 @@ def test_the_variance_of_random_effects() -> None:
     # of ten images one in a thousand runs loses a good one
     [(False, 21.108), (True, 27.856)],
 )
-def test_the_limit_of_an_image_is_that_of_its_coordinates(
-    attitude: bool, limit: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_limit_of_an_image_is_that_of_its_coordinates(attitude, limit, monkeypatch):
     run = simulate(1, 10)
 
-    def fit(model: OffsetModel, state: OffsetState, _: OffsetOptions) -> SimpleNamespace:
+    def fit(model, state, _):
         tests = {"R000.jpg": 0.98 * limit, "R001.jpg": 1.01 * limit}
         return SimpleNamespace(
             state=state, tests=np.array([tests.get(name, 0.0) for name in model.poses.file])
@@ -456,7 +452,7 @@ def test_the_limit_of_an_image_is_that_of_its_coordinates(
     assert not any(reason[2:])
 
 
-def test_derivatives_of_positions_and_attitudes_by_differences() -> None:
+def test_derivatives_of_positions_and_attitudes_by_differences():
     run = simulate(5, 24)
     model = OffsetModel(
         poses=run.poses, track=run.track, ins=run.ins, reference_s=float(run.poses.t_device_s.mean())
@@ -478,7 +474,7 @@ def test_derivatives_of_positions_and_attitudes_by_differences() -> None:
     assert not found[3 * 24 :, 2:5].any()
 
 
-def test_a_straight_run_cannot_tell_the_offset_from_the_lever_arm_along_its_course() -> None:
+def test_a_straight_run_cannot_tell_the_offset_from_the_lever_arm_along_its_course():
     with pytest.raises(MissingMotionError) as error:
         solve(simulate(3, 80, "straight"))
     # the boat goes forward, which is an axis of the camera's frame

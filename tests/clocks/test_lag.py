@@ -30,7 +30,7 @@ def noise(rng: np.random.Generator, kind: str, n: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize(("kind", "offset_s"), [("blue", 0.04), ("red", 0.04), ("both", 0.04), ("both", 0.0)])
-def test_offsets_come_back_with_consistent_sigmas(kind: str, offset_s: float) -> None:
+def test_offsets_come_back_with_consistent_sigmas(kind, offset_s):
     """Residuals of differenced positions are blue, of slow errors red; a tenth of the epochs is missing."""
     squares, found = [], []
     for seed in range(SEEDS):
@@ -49,7 +49,7 @@ def test_offsets_come_back_with_consistent_sigmas(kind: str, offset_s: float) ->
     assert np.mean(found) == pytest.approx(offset_s, abs=0.0047)
 
 
-def test_white_residuals_are_not_taken_for_granted() -> None:
+def test_white_residuals_are_not_taken_for_granted():
     """With blue residuals the formula for white ones is too large, with red ones of 0.3 s too small."""
     rng = np.random.default_rng(1)
     ta, tb = np.arange(0, 200, 0.02), np.arange(0, 200, 0.1)
@@ -63,7 +63,7 @@ def test_white_residuals_are_not_taken_for_granted() -> None:
         assert factor[0] < lag.sigma_s / white < factor[1]
 
 
-def test_late_stamps_are_positive() -> None:
+def test_late_stamps_are_positive():
     t = np.arange(0, 60, 0.02)
     lag = stream_lag(t, np.sin(2 * t), t[::5] + 0.25, np.sin(2 * t[::5]))
     assert lag.offset_s == pytest.approx(0.25, abs=1e-5)
@@ -78,25 +78,25 @@ def test_late_stamps_are_positive() -> None:
         (np.arange(600) * 0.1, np.full(600, np.nan)),
     ],
 )
-def test_streams_that_say_nothing(t: np.ndarray, v: np.ndarray) -> None:
+def test_streams_that_say_nothing(t, v):
     lag = stream_lag(np.arange(0, 60, 0.02), np.ones(3000), t, v)
     assert np.isnan(lag.offset_s)
     assert not lag.significant
 
 
-def test_an_offset_beyond_what_was_searched_is_none() -> None:
+def test_an_offset_beyond_what_was_searched_is_none():
     t = np.arange(0, 100, 0.02)
     v = np.cumsum(np.random.default_rng(2).normal(size=len(t))) * 0.1
     lag = stream_lag(t, v, t[::5] + 3.0, v[::5], max_lag_s=0.5)
     assert np.isnan(lag.offset_s) or lag.sigma_s > 0.05
 
 
-def test_components_must_agree() -> None:
+def test_components_must_agree():
     with pytest.raises(GeometryError, match="same number of components"):
         stream_lag(np.arange(9.0), np.zeros((9, 3)), np.arange(9.0), np.zeros((9, 2)))
 
 
-def test_what_is_significant() -> None:
+def test_what_is_significant():
     assert Lag(offset_s=-0.02, sigma_s=0.004, n=100).significant
     assert not Lag(offset_s=0.02, sigma_s=0.008, n=100).significant
     # precise, but too small to matter
@@ -144,7 +144,7 @@ def survey(offset_s: float, seed: int = 0) -> tuple[pd.DataFrame, pd.DataFrame]:
 
 
 @pytest.mark.parametrize("offset_s", [-0.1, 0.0, 0.04])
-def test_late_positions_are_found_from_the_ins(offset_s: float) -> None:
+def test_late_positions_are_found_from_the_ins(offset_s):
     states, positions = survey(offset_s)
     lag = ins_position_lag(states, positions, FRAME, lever_ics_antenna_m=LEVER)
     assert lag.sigma_s < 0.005
@@ -152,7 +152,7 @@ def test_late_positions_are_found_from_the_ins(offset_s: float) -> None:
     assert lag.significant == (offset_s != 0)
 
 
-def test_the_lever_arm_matters() -> None:
+def test_the_lever_arm_matters():
     """Without it the roll of the antenna is missing from the INS's velocity: the residuals say so."""
     states, positions = survey(0.0)
     right = ins_position_lag(states, positions, FRAME, lever_ics_antenna_m=LEVER)
@@ -160,7 +160,7 @@ def test_the_lever_arm_matters() -> None:
     assert wrong.sigma_s > 2 * right.sigma_s
 
 
-def test_without_velocities_there_is_no_offset() -> None:
+def test_without_velocities_there_is_no_offset():
     states, positions = survey(0.0)
     states["v_east_mps"] = np.nan
     assert np.isnan(ins_position_lag(states, positions, FRAME, lever_ics_antenna_m=LEVER).offset_s)

@@ -143,7 +143,7 @@ def projector(A: ArrayF, V: ArrayF) -> ArrayF:
 
 @pytest.mark.parametrize("name", list(OPTIONS))
 @pytest.mark.parametrize("attitude", [False, True])
-def test_the_estimate_is_generalised_least_squares(attitude: bool, name: str) -> None:
+def test_the_estimate_is_generalised_least_squares(attitude, name):
     """Jitter held: one weighted solution with ``V + s Z Z^T`` and what is known beforehand."""
     model, options = Linear(attitude, turn=np.array([0.02, -0.01, 0.03])), OPTIONS[name]
     found = fitted(model, options)
@@ -179,7 +179,7 @@ def test_the_estimate_is_generalised_least_squares(attitude: bool, name: str) ->
 
 
 @pytest.mark.parametrize("attitude", [False, True])
-def test_the_jitter_is_the_component_of_all_residuals_and_of_what_is_known(attitude: bool) -> None:
+def test_the_jitter_is_the_component_of_all_residuals_and_of_what_is_known(attitude):
     model = Linear(attitude)
     options = OffsetOptions(sigma_drift=30e-6, lever_m=LEVER, cov_lever_m2=COV_LEVER)
     found = fitted(model, options)
@@ -200,7 +200,7 @@ def test_the_jitter_is_the_component_of_all_residuals_and_of_what_is_known(attit
 
 
 @pytest.mark.parametrize("attitude", [False, True])
-def test_slopes_that_are_noise_make_the_clock_uncertain(attitude: bool) -> None:
+def test_slopes_that_are_noise_make_the_clock_uncertain(attitude):
     """Of the information ``N`` about offset and drift the noise makes ``tr P Cov``: ``B^-1 N B^-1`` is left.
 
     What is estimated with them errs along: the part of its covariance that goes with the clock is replaced.
@@ -233,7 +233,7 @@ def test_slopes_that_are_noise_make_the_clock_uncertain(attitude: bool) -> None:
     np.testing.assert_allclose(noisy.cov[2:, :2], K @ clock, rtol=1e-5, atol=1e-12)
 
 
-def test_where_nothing_but_noise_is_left_the_offset_is_unknown() -> None:
+def test_where_nothing_but_noise_is_left_the_offset_is_unknown():
     found = fitted(Linear(True, noise_mps=5.0), OPTIONS["held jitter"])
     assert found.cov[0, 0] == np.inf
     assert np.isfinite(found.cov[1:, 1:]).all()
@@ -241,7 +241,7 @@ def test_where_nothing_but_noise_is_left_the_offset_is_unknown() -> None:
 
 @pytest.mark.parametrize("noise_mps", [0.0, 0.25])
 @pytest.mark.parametrize("name", list(OPTIONS))
-def test_times_of_images_join_clock_and_jitters(name: str, noise_mps: float) -> None:
+def test_times_of_images_join_clock_and_jitters(name, noise_mps):
     """By another way: what errs given the clock, plus what errs with the clock, jitters along with it."""
     model, options = Linear(True, noise_mps=noise_mps), OPTIONS[name]
     fit = fitted(model, options)
@@ -261,7 +261,7 @@ def test_times_of_images_join_clock_and_jitters(name: str, noise_mps: float) -> 
     assert mean == pytest.approx(fit.state.offset_s + fit.effects_s.mean(), abs=1e-12)
 
 
-def test_without_jitter_all_times_are_those_of_the_clock() -> None:
+def test_without_jitter_all_times_are_those_of_the_clock():
     model, options = Linear(False), OffsetOptions(jitter_s=0.0)
     fit = fitted(model, options)
     best, sigma, mean, sigma_mean = image_times(fit, 1.0, options)
@@ -275,7 +275,7 @@ def test_without_jitter_all_times_are_those_of_the_clock() -> None:
 
 
 @pytest.mark.parametrize("which", [(0, 0), (1, 1), (0, 1)])
-def test_a_clock_without_a_variance_leaves_every_time_unknown(which: tuple[int, int]) -> None:
+def test_a_clock_without_a_variance_leaves_every_time_unknown(which):
     model, options = Linear(False), OPTIONS["held jitter"]
     fit = fitted(model, options)
     fit.cov[which] = np.inf
@@ -285,7 +285,7 @@ def test_a_clock_without_a_variance_leaves_every_time_unknown(which: tuple[int, 
     assert np.isfinite(mean)
 
 
-def test_what_is_known_beforehand() -> None:
+def test_what_is_known_beforehand():
     """The drift always, held at a trillionth if its sigma is zero; the antenna with lever arm and sigma."""
     state = OffsetState(offset_s=9.0, drift=5e-6, lever_m=np.array([1.0, 2.0, 3.0]))
     for sigma, variance in ((2e-6, 4e-12), (0.0, 1e-24)):
@@ -303,18 +303,18 @@ def test_what_is_known_beforehand() -> None:
     np.testing.assert_allclose(antenna.cov, (COV_LEVER + 1e-10 * np.eye(3))[None], rtol=1e-12)
 
 
-def test_the_turn_between_ins_and_camera_is_set_once() -> None:
+def test_the_turn_between_ins_and_camera_is_set_once():
     """It starts as the mean of what both say; a state that is oriented keeps its own, and its slow errors."""
     seen: list[OffsetState] = []
     turn = np.array([0.02, -0.01, 0.03])
     model = Linear(True, turn=turn)
     observe = model.observe
 
-    def watched(state: OffsetState) -> Stacked:
+    def watched(state):
         seen.append(state)
         return observe(state)
 
-    model.observe = watched  # type: ignore[method-assign]
+    model.observe = watched
     own = replace(start(model), R_ics_ccs=R_0, slow=np.full(3, 1e-3), oriented=True)
     other = {
         "new": (start(model), exp_rotation(turn) @ R_0, 0.0),
@@ -330,7 +330,7 @@ def test_the_turn_between_ins_and_camera_is_set_once() -> None:
         assert seen[0].oriented
 
 
-def test_turns_that_come_to_no_end_are_told() -> None:
+def test_turns_that_come_to_no_end_are_told():
     """Observations that move by 1 ms each time they are asked: thirty turns, and one look at the last."""
     model = Linear(False, restless_s=1e-3)
     found = fitted(model, OPTIONS["held jitter"])
@@ -338,14 +338,14 @@ def test_turns_that_come_to_no_end_are_told() -> None:
     assert model.calls == 31
 
 
-def test_an_antenna_that_nothing_shows_is_refused() -> None:
+def test_an_antenna_that_nothing_shows_is_refused():
     model = Linear(False)
     model.J[:, 3] = 0.0
     with pytest.raises(GeometryError, match="do not determine dy"):
         fitted(model, OPTIONS["held jitter"])
 
 
-def test_the_first_guess_of_the_jitter_makes_no_difference() -> None:
+def test_the_first_guess_of_the_jitter_makes_no_difference():
     """`jitter` of a fit is that of its last turn, for the effects as for the covariance."""
     model = Linear(False)
     found = fitted(model, OffsetOptions())

@@ -46,7 +46,7 @@ def boat(stamp: np.ndarray, offset_s: float, lever_m: tuple[float, float, float]
     return poses(stamp, antenna - lever_m)
 
 
-def test_the_antenna_is_seen_in_the_frame_of_the_camera() -> None:
+def test_the_antenna_is_seen_in_the_frame_of_the_camera():
     """At 2.5 s between 0.4 and 0.9 m: 0.65. The camera at (0.65, 3, 0) is turned by a quarter."""
     seen, inside = _seen(
         poses([1.5], [[0.65, 3.0, 0.0]], rotation_opk(0.0, 0.0, np.pi / 2)), track(np.arange(9)), 1.0
@@ -56,7 +56,7 @@ def test_the_antenna_is_seen_in_the_frame_of_the_camera() -> None:
 
 
 @pytest.mark.parametrize("hole", [0, 3, 6])
-def test_a_hole_of_the_track_shows_nothing(hole: int) -> None:
+def test_a_hole_of_the_track_shows_nothing(hole):
     """Eight epochs each second; after one of them 2.5 steps are missing, also after the first one."""
     t = np.arange(8.0)
     t[hole + 1 :] += 1.5
@@ -68,12 +68,12 @@ def test_a_hole_of_the_track_shows_nothing(hole: int) -> None:
     assert _seen(poses(t[hole : hole + 1] + 1.0, np.zeros((1, 3))), track(t), 0.0)[1].all()
 
 
-def test_times_off_the_track_show_nothing() -> None:
+def test_times_off_the_track_show_nothing():
     _, inside = _seen(poses([-0.1, 0.0, 7.0, 7.1], np.zeros((4, 3))), track(np.arange(8)), 0.0)
     assert inside.tolist() == [False, True, True, False]
 
 
-def test_the_best_offset_has_an_antenna_that_is_near_enough() -> None:
+def test_the_best_offset_has_an_antenna_that_is_near_enough():
     """With x = t^2 / 10 the antenna stands still at the right offset alone."""
     t = np.arange(0.0, 20.0, 0.5)
     run = boat(np.arange(2.0, 14.0), 1.3, (0.6, -0.8, 0.0))
@@ -89,7 +89,7 @@ def test_the_best_offset_has_an_antenna_that_is_near_enough() -> None:
 
 
 @pytest.mark.parametrize("offset_s", [-1.37, 0.0, 1.42])
-def test_the_start_by_hand(offset_s: float) -> None:
+def test_the_start_by_hand(offset_s):
     """Twenty images, one of them 0.5 m off."""
     run = boat(np.arange(5.0, 25.0), offset_s, (0.3, -0.2, -0.1))
     run.centre_wcs_m[4] += [0.0, 0.0, 0.5]
@@ -102,14 +102,14 @@ def test_the_start_by_hand(offset_s: float) -> None:
     assert found.overlapping == 20
 
 
-def test_the_end_of_the_search() -> None:
+def test_the_end_of_the_search():
     """One and a half steps of 0.1 s before either end."""
     for offset_s, end in ((1.84, False), (1.86, True), (-1.84, False), (-1.86, True)):
         assert at_the_end(cast(Any, SimpleNamespace(offset_s=offset_s)), 2.0) is end
 
 
 @pytest.mark.parametrize(("extra_s", "shift_s"), [(1.4, 7201.5), (-1.4, 7198.5)])
-def test_a_shift_by_hours_is_named_with_its_rest(extra_s: float, shift_s: float) -> None:
+def test_a_shift_by_hours_is_named_with_its_rest(extra_s, shift_s):
     """The camera's clock is two hours early and some seconds off: looked for in steps of 0.5 s."""
     t0 = 3.0e8
     t = np.arange(0.0, 40.0, 0.1)
@@ -125,7 +125,7 @@ def test_a_shift_by_hours_is_named_with_its_rest(extra_s: float, shift_s: float)
         find_start(moved, there, largest_offset_s=2.0, largest_lever_m=1.0)
 
 
-def test_an_antenna_that_would_wander_is_another_run() -> None:
+def test_an_antenna_that_would_wander_is_another_run():
     """Two hours off; the camera stands while the antenna goes on by 1 m/s.
 
     Of images at 0, 1, .. 14 s, 30, 40, .. 70 s the median is 9.5 s; ten are within 4.5 s of it, the next one
@@ -144,14 +144,14 @@ def test_an_antenna_that_would_wander_is_another_run() -> None:
     assert "the same run" in error.cure
 
 
-def test_images_of_another_day_have_no_shift() -> None:
+def test_images_of_another_day_have_no_shift():
     run = poses(np.arange(20.0) + 1e5 + 3000.0 * np.arange(20.0), np.zeros((20, 3)))
     error = _apart(run, track(np.arange(40.0) + 3.0e8), 2.0, 1.0)
     assert "shifted" not in error.found
     assert "offset from UTC" in error.cure
 
 
-def test_too_few_images_are_told_by_their_number() -> None:
+def test_too_few_images_are_told_by_their_number():
     run = boat(np.arange(5.0, 25.0), 0.0, (0.0, 0.0, 0.0))
     t = np.arange(0.0, 40.0, 0.1)
     with pytest.raises(ClockError, match="7 images with a pose"):
@@ -181,7 +181,7 @@ def ins(**changed: Any) -> InsAttitude:
     return InsAttitude(**(values | changed))
 
 
-def test_a_steady_turn_has_its_attitude_and_rate() -> None:
+def test_a_steady_turn_has_its_attitude_and_rate():
     R, rate, inside = ins().at(np.array([0.19, 0.21, 5.033, 9.79, 9.81]))
     assert inside.tolist() == [False, True, True, True, False]
     np.testing.assert_allclose(R[2], exp_rotation(RATE * 5.033), atol=1e-12)
@@ -193,7 +193,7 @@ def test_a_steady_turn_has_its_attitude_and_rate() -> None:
     assert inside.tolist() == [True, False, True]
 
 
-def test_covariance_of_attitudes_by_hand() -> None:
+def test_covariance_of_attitudes_by_hand():
     """Level and northward: heading about -z, pitch about x or y, roll about the other; e^-1 after 20 s."""
     t = np.arange(0.0, 40.001, 0.05)
     level = InsAttitude(
@@ -216,7 +216,7 @@ def test_covariance_of_attitudes_by_hand() -> None:
     )
 
 
-def test_cosines_of_periods_above_the_limit() -> None:
+def test_cosines_of_periods_above_the_limit():
     """90 s with slow errors above 60 s: half periods of 90, 45 and 30 s, so three cosines."""
     run = poses(np.array([0.0, 30.0, 45.0, 90.0]), np.zeros((4, 3)))
     model = OffsetModel(poses=run, track=track(np.arange(200.0)), reference_s=10.0, ins=ins(high_pass_s=60.0))
@@ -230,7 +230,7 @@ def test_cosines_of_periods_above_the_limit() -> None:
     assert none.cosines().shape == (0, 4)
 
 
-def test_a_small_change_of_the_unknowns() -> None:
+def test_a_small_change_of_the_unknowns():
     state = OffsetState(offset_s=1.0, drift=2.0, lever_m=np.array([1.0, 2.0, 3.0]), slow=np.array([5.0]))
     found = state.moved(np.array([0.1, 0.2, 0.3, 0.4, 0.5, 0.0, 0.0, np.pi / 2, 7.0]))
     assert (found.offset_s, found.drift) == (1.1, 2.2)
@@ -242,13 +242,13 @@ def test_a_small_change_of_the_unknowns() -> None:
     assert short.slow.tolist() == [5.0]
 
 
-def test_sigma_of_a_jitter_by_hand() -> None:
+def test_sigma_of_a_jitter_by_hand():
     """A variance of 4 with a sigma of 1: 1 / (2 x 2); of 1 with 3: the upper end is 2, one more."""
     assert Component(variance=4.0, sigma_variance=1.0).sigma_of_sigma == 0.25
     assert Component(variance=1.0, sigma_variance=3.0).sigma_of_sigma == 1.0
 
 
-def test_a_gap_at_either_end_of_the_attitudes_is_not_covered() -> None:
+def test_a_gap_at_either_end_of_the_attitudes_is_not_covered():
     """Ten attitudes a second between 10 and 20 s, one at 0 and one at 30 s: the gaps are covered nowhere."""
     t = np.concatenate([[0.0], np.arange(100, 201) / 10, [30.0]])
     attitudes = ins(t_gps_s=t, R_wcs_ics=np.tile(np.eye(3), (len(t), 1, 1)))

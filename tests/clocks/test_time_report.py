@@ -1,7 +1,6 @@
 """The time of the whole boat, and the tables that the camera's clock comes from."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -69,7 +68,7 @@ def streams() -> pd.DataFrame:
     return stream_table(reports, {"positions": ("ins", Lag(offset_s=0.040, sigma_s=0.003, n=250))})
 
 
-def test_speeds_are_those_of_the_survey() -> None:
+def test_speeds_are_those_of_the_survey():
     speeds = Speeds.of(trajectory(0.4, 7.0))
     assert speeds.linear_mps == pytest.approx(0.4, rel=1e-6)
     assert np.rad2deg(speeds.angular_radps) == pytest.approx(7.0, rel=1e-6)
@@ -79,7 +78,7 @@ def test_speeds_are_those_of_the_survey() -> None:
         Speeds.of(trajectory(0.4, 7.0, hole=True))
 
 
-def test_every_stream_says_who_stamps_it_and_what_that_costs(tmp_path: Path) -> None:
+def test_every_stream_says_who_stamps_it_and_what_that_costs(tmp_path):
     speeds = Speeds.of(trajectory(0.4, 7.0))
     clock = ClockModel(
         offset_s=-2.3471,
@@ -125,7 +124,7 @@ def test_every_stream_says_who_stamps_it_and_what_that_costs(tmp_path: Path) -> 
     assert "Not checked against another stream" in lidar
 
 
-def test_the_report_of_a_trigger_is_that_of_its_pulses() -> None:
+def test_the_report_of_a_trigger_is_that_of_its_pulses():
     """Neither the unit of the camera's stamps nor the display test count; what is not known is said."""
     clock = trigger_clock(t_first_s=T0, t_last_s=T0 + 100, delay_s=0.003)
     facts = {"mean_s": 0.999, "std_s": 0.023, "kind": "white stamps", "image_error_s": 0.0163}
@@ -137,7 +136,7 @@ def test_the_report_of_a_trigger_is_that_of_its_pulses() -> None:
     assert "not stated: taken as 0" in row["remark"]
 
 
-def test_a_camera_that_was_never_tied_is_told() -> None:
+def test_a_camera_that_was_never_tied_is_told():
     facts = {"mean_s": 0.999, "std_s": 0.023, "kind": "white stamps", "image_error_s": 0.0163}
     report = time_report(streams(), Speeds.of(trajectory(0.4, 7.0)), stability=facts)
     row = report.set_index("stream").loc["camera"]
@@ -148,7 +147,7 @@ def test_a_camera_that_was_never_tied_is_told() -> None:
     assert "0.9990 s between images" in row["remark"]
 
 
-def test_a_boat_without_a_camera_has_no_row_for_one() -> None:
+def test_a_boat_without_a_camera_has_no_row_for_one():
     table = streams()
     report = time_report(table[table["stream"] != "camera"], Speeds.of(trajectory(0.4, 7.0)))
     assert "camera" not in set(report["stream"])
@@ -159,7 +158,7 @@ def test_a_boat_without_a_camera_has_no_row_for_one() -> None:
 # ---------------------------------------------------------------- tables of a run
 
 
-def test_poses_come_into_the_world_with_the_error_they_share() -> None:
+def test_poses_come_into_the_world_with_the_error_they_share():
     rng = np.random.default_rng(1)
     place = Rigid.from_opk([0.1, -0.2, 0.7], [3.0, -4.0, 1.0], np.diag([1e-4, 1e-4, 4e-4, 1e-8, 1e-8, 2e-8]))
     B = rng.standard_normal((6, 6)) * 1e-3
@@ -191,7 +190,7 @@ OPTIONS = {
 }  # fmt: skip
 
 
-def test_options_and_attitudes_of_a_campaign() -> None:
+def test_options_and_attitudes_of_a_campaign():
     assert offset_options(OPTIONS).sigma_drift == pytest.approx(50e-6)
     n = 20
     states = pd.DataFrame(
@@ -208,7 +207,6 @@ def test_options_and_attitudes_of_a_campaign() -> None:
         }
     )
     ins = run_attitude(states, FRAME, OPTIONS)
-    assert ins is not None
     # heading east: forward is east, right is south, down is down
     np.testing.assert_allclose(ins.R_wcs_ics[0], [[1, 0, 0], [0, -1, 0], [0, 0, -1]], atol=1e-12)
     np.testing.assert_allclose(ins.sigma_rad, [np.deg2rad(0.1), 0.001, 0.004])
@@ -217,7 +215,7 @@ def test_options_and_attitudes_of_a_campaign() -> None:
         run_attitude(states.assign(t_gps_s=np.nan), FRAME, OPTIONS)
 
 
-def test_times_by_pulses_stand_in_the_cameras_remark() -> None:
+def test_times_by_pulses_stand_in_the_cameras_remark():
     times = frame_of(
         RUN_IMAGE_TIMES,
         {

@@ -35,7 +35,7 @@ def line(x: np.ndarray, y: np.ndarray, sigma: np.ndarray, *, name: str = "points
 
 
 @pytest.fixture
-def points(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def points(rng):
     x, sigma = np.linspace(0, 10, 40), rng.uniform(0.1, 0.5, 40)
     return x, 2.0 - 0.7 * x + sigma * rng.standard_normal(40), sigma
 
@@ -44,7 +44,7 @@ def points(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray
 
 
 @pytest.mark.parametrize("thin", [False, True], ids=["dense", "sparse"])
-def test_a_line_is_the_weighted_closed_form(points: tuple[np.ndarray, ...], thin: bool) -> None:
+def test_a_line_is_the_weighted_closed_form(points, thin):
     x, y, sigma = points
     found = adjust([line(x, y, sigma, thin=thin)], np.zeros(2), LINE)
     A = np.stack([np.ones_like(x), x], axis=1) / sigma[:, None]
@@ -62,7 +62,7 @@ def test_a_line_is_the_weighted_closed_form(points: tuple[np.ndarray, ...], thin
 
 
 @pytest.mark.parametrize("thin", [False, True], ids=["dense", "sparse"])
-def test_blocks_are_generalised_least_squares(rng: np.random.Generator, thin: bool) -> None:
+def test_blocks_are_generalised_least_squares(rng, thin):
     J, y = rng.standard_normal((12, 3)), rng.standard_normal(12)
     root = rng.standard_normal((4, 3, 3)) + 2 * np.eye(3)
     S = root @ np.swapaxes(root, 1, 2)
@@ -83,7 +83,7 @@ def test_blocks_are_generalised_least_squares(rng: np.random.Generator, thin: bo
     )
 
 
-def test_redundancy_is_shared_among_the_groups(points: tuple[np.ndarray, ...]) -> None:
+def test_redundancy_is_shared_among_the_groups(points):
     x, y, sigma = points
     two = [line(x[:5], y[:5], sigma[:5], name="few"), line(x[5:], y[5:], sigma[5:], name="many")]
     found = adjust(two, np.zeros(2), LINE)
@@ -94,7 +94,7 @@ def test_redundancy_is_shared_among_the_groups(points: tuple[np.ndarray, ...]) -
     assert squares == pytest.approx(one.sigma0_squared * 38, rel=1e-9)
 
 
-def test_an_observed_unknown_is_a_weighted_mean() -> None:
+def test_an_observed_unknown_is_a_weighted_mean():
     told = Observations("told", prior(np.array([1.0]), np.array([[0.04]]), [0], 2))
     seen = Observations(
         "seen", lambda x: Linear(residual=x - [2.0, 5.0], jacobian=np.eye(2), cov=np.array([0.01, 1.0]))
@@ -117,7 +117,7 @@ def on_line(state: np.ndarray, observed: np.ndarray) -> tuple[np.ndarray, np.nda
     return g[:, None], A, B
 
 
-def test_errors_in_both_coordinates_are_orthogonal_regression(rng: np.random.Generator) -> None:
+def test_errors_in_both_coordinates_are_orthogonal_regression(rng):
     true = np.linspace(0, 4, 60)
     xy = np.stack([true, 1.0 + 1.5 * true], axis=1) + 0.1 * rng.standard_normal((60, 2))
     model = condition(on_line, xy, 0.01 * np.eye(2), iterations=4)
@@ -130,7 +130,7 @@ def test_errors_in_both_coordinates_are_orthogonal_regression(rng: np.random.Gen
     assert found.x[0] == pytest.approx(xy[:, 1].mean() - slope * xy[:, 0].mean(), abs=5e-6)
 
 
-def test_ordinary_regression_would_be_biased(rng: np.random.Generator) -> None:
+def test_ordinary_regression_would_be_biased(rng):
     true = np.linspace(0, 1, 4000)
     xy = np.stack([true, 1.5 * true], axis=1) + 0.2 * rng.standard_normal((4000, 2))
     model = condition(on_line, xy, 0.04 * np.eye(2), iterations=4)
@@ -141,12 +141,12 @@ def test_ordinary_regression_would_be_biased(rng: np.random.Generator) -> None:
     assert abs(found.x[1] - 1.5) < 4 * found.sigma("slope")
 
 
-def test_a_circle_from_points_with_errors(rng: np.random.Generator) -> None:
+def test_a_circle_from_points_with_errors(rng):
     turn = rng.uniform(0, 2 * np.pi, 80)
     xy = np.array([3.0, -2.0]) + 5.0 * np.stack([np.cos(turn), np.sin(turn)], axis=1)
     xy += 0.02 * rng.standard_normal((80, 2))
 
-    def circle(s: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def circle(s, seen):
         away = seen - s[:2]
         r = np.linalg.norm(away, axis=1)
         A = np.concatenate([-away / r[:, None], -np.ones((len(r), 1))], axis=1)
@@ -164,7 +164,7 @@ def test_a_circle_from_points_with_errors(rng: np.random.Generator) -> None:
 # ---------------------------------------------------------------- covariance over seeds
 
 
-def test_covariance_and_band_are_those_of_many_seeds() -> None:
+def test_covariance_and_band_are_those_of_many_seeds():
     squares, sigma0 = [], []
     truth = exp_rotation([0.3, -0.2, 0.5])
     for seed in range(200):
@@ -172,7 +172,7 @@ def test_covariance_and_band_are_those_of_many_seeds() -> None:
         source = rng.standard_normal((12, 3))
         target = source @ truth.T + [1.0, 2.0, 3.0] + 0.01 * rng.standard_normal((12, 3))
 
-        def model(T: Rigid, a: np.ndarray = source, b: np.ndarray = target) -> Linear:
+        def model(T, a=source, b=target):
             J = T.by_error(a).reshape(-1, 6)
             return Linear(residual=(T.apply(a) - b).ravel(), jacobian=J, cov=np.full(36, 1e-4))
 
@@ -192,7 +192,7 @@ def test_covariance_and_band_are_those_of_many_seeds() -> None:
 
 
 @pytest.mark.parametrize("share", [0.05, 0.25])
-def test_blunders_are_rejected_and_nothing_else(rng: np.random.Generator, share: float) -> None:
+def test_blunders_are_rejected_and_nothing_else(rng, share):
     x = np.linspace(0, 10, 200)
     y = 2.0 - 0.7 * x + 0.1 * rng.standard_normal(200)
     wrong = rng.permutation(200)[: int(200 * share)]
@@ -208,7 +208,7 @@ def test_blunders_are_rejected_and_nothing_else(rng: np.random.Generator, share:
     assert found.redundancy == clean.sum() - 2
 
 
-def test_a_loss_alone_rejects_too(rng: np.random.Generator) -> None:
+def test_a_loss_alone_rejects_too(rng):
     x = np.linspace(0, 10, 50)
     y = 1.0 + x + 0.1 * rng.standard_normal(50)
     y[7] += 100.0
@@ -216,7 +216,7 @@ def test_a_loss_alone_rejects_too(rng: np.random.Generator) -> None:
     assert np.flatnonzero(~found.used["points"]).tolist() == [7]
 
 
-def test_sigmas_that_were_too_small_reject_no_good_points(rng: np.random.Generator) -> None:
+def test_sigmas_that_were_too_small_reject_no_good_points(rng):
     x = np.linspace(0, 10, 200)
     y = 1.0 + x + 0.5 * rng.standard_normal(200)
     y[3] += 20.0
@@ -243,7 +243,7 @@ def levels(pairs: list[tuple[int, int]], n: int, rng: np.random.Generator) -> Ob
 RING = [(0, 1), (1, 2), (2, 3), (3, 0), (0, 2)]
 
 
-def test_a_free_network_is_refused_with_its_unknowns(rng: np.random.Generator) -> None:
+def test_a_free_network_is_refused_with_its_unknowns(rng):
     names = ("A", "B", "C", "D", "E")
     pinned = Observations("pin", prior(np.array([9.0]), np.eye(1), [4], 5))
     with pytest.raises(UnobservableError) as caught:
@@ -254,12 +254,12 @@ def test_a_free_network_is_refused_with_its_unknowns(rng: np.random.Generator) -
     assert "A" in str(caught.value)
 
 
-def test_an_unknown_that_nothing_sees_is_named(rng: np.random.Generator) -> None:
+def test_an_unknown_that_nothing_sees_is_named(rng):
     with pytest.raises(UnobservableError, match="do not determine E"):
         adjust([levels(RING, 5, rng)], np.zeros(5), ("A", "B", "C", "D", "E"), inner_constraints=None)
 
 
-def test_inner_constraints_give_the_pseudo_inverse(rng: np.random.Generator) -> None:
+def test_inner_constraints_give_the_pseudo_inverse(rng):
     group = levels(RING, 4, rng)
     G = np.ones((1, 4))
     start = np.array([5.0, -3.0, 1.0, 7.0])
@@ -272,7 +272,7 @@ def test_inner_constraints_give_the_pseudo_inverse(rng: np.random.Generator) -> 
     np.testing.assert_allclose(np.diff(found.x), 1.0, atol=0.05)
 
 
-def test_constraints_on_part_of_the_unknowns_fix_the_datum_there(rng: np.random.Generator) -> None:
+def test_constraints_on_part_of_the_unknowns_fix_the_datum_there(rng):
     G = np.array([[1.0, 1.0, 0.0, 0.0]])
     found = adjust([levels(RING, 4, rng)], np.zeros(4), "ABCD", inner_constraints=lambda x: G)
     # A and B err against each other only
@@ -281,7 +281,7 @@ def test_constraints_on_part_of_the_unknowns_fix_the_datum_there(rng: np.random.
     assert G @ found.cov @ G.T == pytest.approx(0.0, abs=1e-15)
 
 
-def test_nearly_collinear_unknowns_are_still_solved() -> None:
+def test_nearly_collinear_unknowns_are_still_solved():
     """Correlations of 0.9999 are bad geometry, not an undetermined one."""
     x = np.linspace(1000.0, 1010.0, 30)
     found = adjust([line(x, 3.0 + 0.5 * x, np.full(30, 0.1))], np.zeros(2), LINE)
@@ -324,26 +324,26 @@ def flat(x: np.ndarray) -> Linear:
     ],
     ids=["nan", "one nan", "no variance", "no covariance", "no convergence"],
 )
-def test_bad_groups_are_told_by_name(group, message: str) -> None:
+def test_bad_groups_are_told_by_name(group, message):
     with pytest.raises(GeometryError, match=message):
         adjust([Observations("bad", group)], np.array([5.0, 6.0]), ("a", "b"), max_iterations=3)
 
 
-def test_two_groups_of_one_name_are_refused() -> None:
+def test_two_groups_of_one_name_are_refused():
     with pytest.raises(GeometryError, match="expected different names"):
         adjust([Observations("a", flat), Observations("a", flat)], np.zeros(2), ("p", "q"))
 
 
-def test_the_cure_of_the_caller_is_told() -> None:
+def test_the_cure_of_the_caller_is_told():
     blind = Observations("a", lambda x: Linear(residual=x[:1], jacobian=np.eye(2)[:1], cov=np.ones(1)))
     with pytest.raises(UnobservableError, match="Turn the boat"):
         adjust([blind], np.zeros(2), ("p", "q"), cure="Turn the boat")
 
 
-def test_a_step_too_far_is_damped() -> None:
+def test_a_step_too_far_is_damped():
     """Gauss-Newton alone diverges on atan beyond 1.39."""
 
-    def model(x: np.ndarray) -> Linear:
+    def model(x):
         return Linear(residual=np.arctan(x), jacobian=np.diag(1 / (1 + x**2)), cov=np.ones(1))
 
     found: Adjusted[np.ndarray] = adjust(
@@ -358,13 +358,13 @@ def test_a_step_too_far_is_damped() -> None:
     # upper 0.001 of chi-square with 1, 2, 3 degrees of freedom (Abramowitz and Stegun 1964, table 26.8)
     [(1, 10.828), (2, 13.816), (3, 16.266)],
 )
-def test_the_limit_of_a_block_is_that_of_its_number_of_coordinates(size: int, limit: float) -> None:
+def test_the_limit_of_a_block_is_that_of_its_number_of_coordinates(size, limit):
     """3.2905 sigmas of a normal error are exceeded by one in a thousand, both signs together."""
     squares = np.r_[np.zeros(8), 0.99 * limit, 1.01 * limit]
     residual = np.zeros((10, size))
     residual[:, -1] = np.sqrt(squares)
 
-    def blocks(_: np.ndarray) -> Linear:
+    def blocks(_):
         return Linear(
             residual=residual.ravel(),
             jacobian=np.zeros((10 * size, 1)),
@@ -376,7 +376,7 @@ def test_the_limit_of_a_block_is_that_of_its_number_of_coordinates(size: int, li
     assert found.used["blocks"].tolist() == [True] * 9 + [False]
 
 
-def test_the_band_of_the_global_test_is_that_of_the_table() -> None:
+def test_the_band_of_the_global_test_is_that_of_the_table():
     """Ten degrees of freedom: 3.247 and 20.483 are exceeded by 97.5 and 2.5 % (table 26.8)."""
     ones = Observations(
         "values",
@@ -388,7 +388,7 @@ def test_the_band_of_the_global_test_is_that_of_the_table() -> None:
     assert (test.low**2, test.high**2) == pytest.approx((0.2156, 2.5188), abs=1e-4)
 
 
-def test_an_adjustment_hands_the_root_of_its_sigma0_squared_to_the_global_test() -> None:
+def test_an_adjustment_hands_the_root_of_its_sigma0_squared_to_the_global_test():
     """Residuals 1, -1, 1, -1 with sigmas of 0.5: squares 4 * 4 over three degrees of freedom."""
     values = np.array([1.0, -1.0, 1.0, -1.0])
     fours = Observations(
@@ -400,7 +400,7 @@ def test_an_adjustment_hands_the_root_of_its_sigma0_squared_to_the_global_test()
     assert found.global_test().sigma0 == pytest.approx(4 / np.sqrt(3))
 
 
-def test_the_global_test_scales_what_is_too_small_and_warns_on_both_sides() -> None:
+def test_the_global_test_scales_what_is_too_small_and_warns_on_both_sides():
     """Ten degrees of freedom: 0.3247 and 2.0483 of the square, by table."""
     too_small, right, too_large = (global_test(sigma0, 10) for sigma0 in (1.5, 1.4, 0.5))
     assert [t.factor for t in (too_small, right, too_large)] == [1.5, 1.0, 1.0]
@@ -414,7 +414,7 @@ def test_the_global_test_scales_what_is_too_small_and_warns_on_both_sides() -> N
     assert (global_test(0.0, 0).factor, global_test(7.0, 0).note("marks")) == (1.0, "")
 
 
-def test_huber_weights_by_hand() -> None:
+def test_huber_weights_by_hand():
     """Residuals 1 and 10, limit L: weights 1 and L / 10, costs 1 and 2 L 10 - L^2."""
     both = Observations(
         "both",
@@ -428,14 +428,14 @@ def test_huber_weights_by_hand() -> None:
     assert found.cost == pytest.approx(1 + 20 * HUBER_LIMIT - HUBER_LIMIT**2)
 
 
-def test_the_scatter_is_that_of_the_blocks_that_are_left() -> None:
+def test_the_scatter_is_that_of_the_blocks_that_are_left():
     """Blunders of 100 sigmas hide one of 8: the limit is 5 times 2 / 0.6745 with them, and 5 without.
 
     0.6745 is the median of the length of a normal error; a scatter below 1 counts as 1.
     """
     size = np.array([0.5] * 5 + [2.0, 8.0] + [100.0] * 4)
 
-    def constant(_: np.ndarray) -> Linear:
+    def constant(_):
         return Linear(residual=size, jacobian=np.zeros((11, 1)), cov=np.ones(11))
 
     known = Observations("known", prior(np.zeros(1), np.eye(1), [0], 1))
@@ -444,9 +444,7 @@ def test_the_scatter_is_that_of_the_blocks_that_are_left() -> None:
 
 
 @pytest.mark.parametrize(("eigenvalue", "refused"), [(0.7e-10, True), (1.4e-10, False)])
-def test_the_smallest_eigenvalue_decides_whether_unknowns_are_determined(
-    eigenvalue: float, refused: bool
-) -> None:
+def test_the_smallest_eigenvalue_decides_whether_unknowns_are_determined(eigenvalue, refused):
     """Two unknowns correlated by ``-(1 - e)`` have the eigenvalue ``e``, and the last pivot ``2 e``."""
     N = np.array([[1.0, 1.0 - eigenvalue], [1.0 - eigenvalue, 1.0]])
     if refused:
@@ -457,9 +455,7 @@ def test_the_smallest_eigenvalue_decides_whether_unknowns_are_determined(
 
 
 @pytest.mark.parametrize(("part", "named"), [(0.18, ("a", "b")), (0.22, ("a", "b", "c"))])
-def test_unknowns_with_a_small_part_in_what_is_free_are_not_named(
-    part: float, named: tuple[str, ...]
-) -> None:
+def test_unknowns_with_a_small_part_in_what_is_free_are_not_named(part, named):
     """1 a + 0.83 b + c's part is free; named is who has more than a fifth of the strongest part.
 
     Derivatives of length 1 that make a triangle with these sides: their cosines are those of its angles.
@@ -474,11 +470,11 @@ def test_unknowns_with_a_small_part_in_what_is_free_are_not_named(
     assert caught.value.parameters == named
 
 
-def test_the_limit_grows_with_the_scatter() -> None:
+def test_the_limit_grows_with_the_scatter():
     """Half of all normal errors are within 0.6745 sigmas: 2.0 means a scatter of 2.965, five times 14.83."""
     size = np.array([2.0] * 9 + [14.7, 14.9])
 
-    def constant(_: np.ndarray) -> Linear:
+    def constant(_):
         return Linear(residual=size, jacobian=np.zeros((11, 1)), cov=np.ones(11))
 
     known = Observations("known", prior(np.zeros(1), np.eye(1), [0], 1))
@@ -486,7 +482,7 @@ def test_the_limit_grows_with_the_scatter() -> None:
     assert found.used["errors"].tolist() == [True] * 10 + [False]
 
 
-def test_huber_limit_of_two_coordinates() -> None:
+def test_huber_limit_of_two_coordinates():
     """86.64 % of normal errors are within 1.5 sigmas, of blocks of two within sqrt(-2 ln 0.1336) = 2.006."""
     J = np.array([[1.0], [0.0]])
     two = Observations("two", lambda x: Linear(residual=J @ x + [10.0, 0.0], jacobian=J, cov=np.eye(2)[None]))
@@ -494,14 +490,14 @@ def test_huber_limit_of_two_coordinates() -> None:
     assert found.N[0, 0] == pytest.approx(0.2006, abs=1e-4)
 
 
-def test_nothing_to_reject_costs_no_further_step(points: tuple[np.ndarray, ...]) -> None:
+def test_nothing_to_reject_costs_no_further_step(points):
     x, y, sigma = points
     plain = adjust([line(x, y, sigma)], np.zeros(2), LINE)
     asked = adjust([line(x, y, sigma)], np.zeros(2), LINE, reject_sigmas=100.0)
     assert asked.n_iterations == plain.n_iterations
 
 
-def test_uneven_inner_constraints_are_the_adjustment_of_what_they_leave(rng: np.random.Generator) -> None:
+def test_uneven_inner_constraints_are_the_adjustment_of_what_they_leave(rng):
     """``G x = 0`` leaves ``x = T z``: covariance ``T (T^T N T)^-1 T^T``, whatever the weights in ``G``."""
     group = levels(RING, 4, rng)
     G = np.array([[1.0, 2.0, 0.0, -0.5]])
@@ -517,7 +513,7 @@ def test_uneven_inner_constraints_are_the_adjustment_of_what_they_leave(rng: np.
     assert (found.redundancy, found.sigma0_squared) == pytest.approx((2.0, found.group_sigma0["levels"] ** 2))
 
 
-def test_observations_that_just_determine_the_unknowns_have_no_scatter() -> None:
+def test_observations_that_just_determine_the_unknowns_have_no_scatter():
     """Two points make a line: nothing is left over, for the group as for the whole."""
     found = adjust(
         [line(np.array([0.0, 2.0]), np.array([1.0, 5.0]), np.array([0.1, 0.1]))], np.zeros(2), LINE
@@ -531,7 +527,7 @@ def test_observations_that_just_determine_the_unknowns_have_no_scatter() -> None
 
 
 @pytest.mark.parametrize("damping", [0.0, 0.5])
-def test_a_damped_step_stays_off_the_datum(damping: float, rng: np.random.Generator) -> None:
+def test_a_damped_step_stays_off_the_datum(damping, rng):
     """``G dx = 0`` whatever the damping; without damping it is the step of least squares."""
     group = levels(RING, 4, rng)
     here = normal_equations([group], np.zeros(4), 4, [None], None)
@@ -543,14 +539,14 @@ def test_a_damped_step_stays_off_the_datum(damping: float, rng: np.random.Genera
 
 
 @pytest.mark.parametrize(("large", "steps"), [(1e3, 1), (0.0, 10)])
-def test_a_gain_that_is_nothing_beside_the_cost_ends_the_steps(large: float, steps: int) -> None:
+def test_a_gain_that_is_nothing_beside_the_cost_ends_the_steps(large, steps):
     """From x = 0, where 0.01 seems to be won, every step leads to 10; 1e-4 is 1e-10 of a cost of 1e6.
 
     Alone it is no small gain: steps shrink by damping, 1e-4 first and ten times as much each time, until
     ``1e-4 / (1 + damping)`` is below 1e-8 of a cost of one, at a damping above 9999.
     """
 
-    def model(x: np.ndarray) -> Linear:
+    def model(x):
         near = 0.01 if x[0] == 0.0 else 10.0
         return Linear(residual=np.array([near, large]), jacobian=np.array([[1.0], [0.0]]), cov=np.ones(2))
 
@@ -560,7 +556,7 @@ def test_a_gain_that_is_nothing_beside_the_cost_ends_the_steps(large: float, ste
     assert found.n_iterations == steps
 
 
-def test_a_datum_makes_up_for_its_own_defect_and_for_no_other() -> None:
+def test_a_datum_makes_up_for_its_own_defect_and_for_no_other():
     """Of two unknowns only the difference is observed: a datum of their sum helps, one of it does not."""
     N = np.array([[1.0, -1.0], [-1.0, 1.0]])
     check_rank(N, ("a", "b"), np.array([[1.0, 1.0]]), "")
@@ -568,7 +564,7 @@ def test_a_datum_makes_up_for_its_own_defect_and_for_no_other() -> None:
         check_rank(N, ("a", "b"), np.array([[1.0, -1.0]]), "")
 
 
-def test_no_mask_is_a_mask_of_all() -> None:
+def test_no_mask_is_a_mask_of_all():
     some, every = np.array([True, False]), np.array([True, True])
     for a, b, same in (
         (None, None, True),

@@ -44,7 +44,7 @@ def opencv(camera: Camera, points: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("camera", CAMERAS, ids=lambda c: c.model)
-def test_pixels_are_those_of_opencv(camera: Camera) -> None:
+def test_pixels_are_those_of_opencv(camera):
     points = directions(camera)
     if camera.model == "fisheye":
         points = points[points[:, 2] > 0]  # cv2.fisheye divides by z
@@ -53,7 +53,7 @@ def test_pixels_are_those_of_opencv(camera: Camera) -> None:
 
 
 @pytest.mark.parametrize("camera", CAMERAS, ids=lambda c: c.model)
-def test_rays_are_the_inverse_of_project(camera: Camera) -> None:
+def test_rays_are_the_inverse_of_project(camera):
     points = directions(camera)
     unit = points / np.linalg.norm(points, axis=1, keepdims=True)
     # Newton steps end at 1e-13 of the focal length
@@ -61,7 +61,7 @@ def test_rays_are_the_inverse_of_project(camera: Camera) -> None:
 
 
 @pytest.mark.parametrize("camera", CAMERAS, ids=lambda c: c.model)
-def test_derivatives_by_points_and_parameters(camera: Camera) -> None:
+def test_derivatives_by_points_and_parameters(camera):
     points = directions(camera, 50)
     _, by_point, by_parameters = camera.project_with_derivatives(points)
     for axis in range(3):
@@ -81,7 +81,7 @@ def test_derivatives_by_points_and_parameters(camera: Camera) -> None:
         np.testing.assert_allclose(by_parameters[:, :, k], (plus - minus) / (2 * h_k), rtol=1e-6, atol=1e-4)
 
 
-def test_equidistant_model_is_that_of_p1() -> None:
+def test_equidistant_model_is_that_of_p1():
     """P1 eq. 2-3: x' = x0 + c alpha X / sqrt(X^2 + Y^2)."""
     c, x0, y0 = 1200.0, 1900.0, 1910.0
     camera = Camera(model="fisheye", size_px=(3800, 3800), parameters=np.array([c, c, x0, y0, 0, 0, 0, 0]))
@@ -91,7 +91,7 @@ def test_equidistant_model_is_that_of_p1() -> None:
     np.testing.assert_allclose(camera.project(points.T), expected, atol=1e-9)
 
 
-def test_fisheye_has_a_limit_on_its_axis() -> None:
+def test_fisheye_has_a_limit_on_its_axis():
     """alpha -> 0: there P1 eq. 2-3 is 0/0, and the limit is that of a pinhole."""
     on_axis = FISHEYE.project_with_derivatives([[0.0, 0.0, 2.0]])
     np.testing.assert_allclose(on_axis[0][0], FISHEYE.parameters[2:4], atol=1e-12)
@@ -105,7 +105,7 @@ def test_fisheye_has_a_limit_on_its_axis() -> None:
     assert np.isfinite(on_axis[2]).all()
 
 
-def test_what_cannot_be_imaged_is_nan() -> None:
+def test_what_cannot_be_imaged_is_nan():
     assert np.isnan(BROWN.project([[0.1, 0.1, -1.0], [0.0, 0.0, 0.0]])).all()
     assert np.isnan(FISHEYE.project([[0.0, 0.0, -1.0]])).all()
     assert np.isfinite(FISHEYE.project([[1.0, 0.0, -0.1]])).all()
@@ -114,7 +114,7 @@ def test_what_cannot_be_imaged_is_nan() -> None:
     assert np.isnan(barrel.project([[5.0, 0.0, 1.0]])).all()
 
 
-def test_inside() -> None:
+def test_inside():
     assert BROWN.inside(np.array([[0.0, 0.0], [4592.0, 3448.0], [-1.0, 5.0], [np.nan, 5.0]])).tolist() == [
         True,
         True,
@@ -137,18 +137,18 @@ def test_inside() -> None:
         ({"cov": np.eye(3)}, "shape"),
     ],
 )
-def test_wrong_cameras_are_refused(change: dict, answer: str) -> None:
+def test_wrong_cameras_are_refused(change, answer):
     given = {"model": "perspective", "size_px": (100, 80), "parameters": np.ones(9), **change}
     with pytest.raises(GeometryError, match=answer):
         Camera(**given)
 
 
-def test_names_belong_to_the_parameters() -> None:
+def test_names_belong_to_the_parameters():
     for camera in CAMERAS:
         assert len(PARAMETERS[camera.model]) == len(camera.parameters) == len(camera.parameter_names)
 
 
-def test_a_smaller_picture_of_the_same_lens() -> None:
+def test_a_smaller_picture_of_the_same_lens():
     whole = Camera(
         model="perspective",
         size_px=(1600, 1200),
@@ -170,14 +170,14 @@ def test_a_smaller_picture_of_the_same_lens() -> None:
 
 
 @pytest.mark.parametrize("camera", CAMERAS, ids=lambda c: c.model)
-def test_the_sun_is_imaged_where_its_direction_is(camera: Camera) -> None:
+def test_the_sun_is_imaged_where_its_direction_is(camera):
     """150 million kilometres away: what counts as on the axis is an angle and not a length."""
     unit = np.array([[0.02, -0.01, 1.0], [0.3, 0.2, 1.0]])
     np.testing.assert_allclose(camera.project(1.5e11 * unit), camera.project(unit), atol=1e-8)
 
 
 @pytest.mark.parametrize("power", [3, 5, 7, 9])
-def test_rays_near_the_end_of_a_strong_barrel_distortion(power: int) -> None:
+def test_rays_near_the_end_of_a_strong_barrel_distortion(power):
     """``d = t - c t^n`` with ``c = 0.95 / n`` at t = 1 rad, where it grows by a twentieth of t only."""
     shape = [-0.95 / power if n == power else 0.0 for n in (3, 5, 7, 9)]
     barrel = FISHEYE.with_parameters(np.array([1000.0, 1000.0, 2000.0, 2000.0, *shape]))

@@ -1,7 +1,5 @@
 """Camera files of COLMAP, OpenCV and ROS: conventions, round trips, refusals."""
 
-from pathlib import Path
-
 import cv2
 import numpy as np
 import pytest
@@ -33,7 +31,7 @@ FISHEYE = Camera(
 
 @pytest.mark.parametrize("camera", [BROWN, FISHEYE], ids=lambda c: c.model)
 @pytest.mark.parametrize("name", ["camera.yaml", "camera.json", "cameras.txt"])
-def test_round_trip(tmp_path: Path, camera: Camera, name: str) -> None:
+def test_round_trip(tmp_path, camera, name):
     path = tmp_path / name
     if name.endswith(".txt"):
         write_colmap(path, {3: camera})
@@ -48,7 +46,7 @@ def test_round_trip(tmp_path: Path, camera: Camera, name: str) -> None:
 
 
 @pytest.mark.parametrize("suffix", ["yaml", "json"])
-def test_opencv_reads_ours_and_we_read_opencvs(tmp_path: Path, suffix: str) -> None:
+def test_opencv_reads_ours_and_we_read_opencvs(tmp_path, suffix):
     path = tmp_path / f"camera.{suffix}"
     K = np.array([[3717.25, 0, 2300.5], [0, 3711.0, 1719.5], [0, 0, 1.0]])
     storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
@@ -66,7 +64,7 @@ def test_opencv_reads_ours_and_we_read_opencvs(tmp_path: Path, suffix: str) -> N
     np.testing.assert_allclose(storage.getNode("distortion_coefficients").mat().ravel(), BROWN.parameters[4:])
 
 
-def test_camera_info_of_a_real_set(tmp_path: Path) -> None:
+def test_camera_info_of_a_real_set(tmp_path):
     """As the ACFR calibration set has it: lists K and D, ROS's centre of the first pixel as (0, 0)."""
     path = tmp_path / "camera_info.yaml"
     path.write_text(
@@ -93,7 +91,7 @@ def test_camera_info_of_a_real_set(tmp_path: Path) -> None:
         ("1 OPENCV_FISHEYE 100 80 90 91 50 40 1 2 3 4", [90, 91, 50, 40, 1, 2, 3, 4]),
     ],
 )
-def test_models_of_colmap(tmp_path: Path, line: str, parameters: list[float]) -> None:
+def test_models_of_colmap(tmp_path, line, parameters):
     path = tmp_path / "cameras.txt"
     path.write_text(f"# Camera list\n{line}\n")
     np.testing.assert_array_equal(read_colmap(path)[1].parameters, parameters)
@@ -110,7 +108,7 @@ def test_models_of_colmap(tmp_path: Path, line: str, parameters: list[float]) ->
         ("# nothing", "no camera"),
     ],
 )
-def test_wrong_colmap_files(tmp_path: Path, text: str, answer: str) -> None:
+def test_wrong_colmap_files(tmp_path, text, answer):
     path = tmp_path / "cameras.txt"
     path.write_text(text + "\n")
     with pytest.raises(InputError, match=answer):
@@ -129,21 +127,21 @@ def test_wrong_colmap_files(tmp_path: Path, text: str, answer: str) -> None:
         ("- 1", "no keys"),
     ],
 )
-def test_wrong_opencv_files(tmp_path: Path, text: str, answer: str) -> None:
+def test_wrong_opencv_files(tmp_path, text, answer):
     path = tmp_path / "camera.yaml"
     path.write_text(text + "\n")
     with pytest.raises((InputError, UnsupportedError), match=answer):
         read_opencv(path)
 
 
-def test_a_missing_file_is_told(tmp_path: Path) -> None:
+def test_a_missing_file_is_told(tmp_path):
     for read in (read_colmap, read_opencv):
         with pytest.raises(InputError, match="file not found"):
             read(tmp_path / "none.txt")
 
 
 @pytest.mark.parametrize("left_out", ["image_width", "image_height"])
-def test_half_a_size_is_none(tmp_path: Path, left_out: str) -> None:
+def test_half_a_size_is_none(tmp_path, left_out):
     path = tmp_path / "camera.yaml"
     write_opencv(path, BROWN)
     path.write_text("\n".join(row for row in path.read_text().splitlines() if left_out not in row))
@@ -151,7 +149,7 @@ def test_half_a_size_is_none(tmp_path: Path, left_out: str) -> None:
         read_opencv(path)
 
 
-def test_a_file_that_breaks_off_is_told(tmp_path: Path) -> None:
+def test_a_file_that_breaks_off_is_told(tmp_path):
     path = tmp_path / "camera.yaml"
     path.write_text("image_width: 10\ncamera_matrix: {rows: 3, data: [1, 2")
     with pytest.raises(InputError, match=r"camera\.yaml"):
@@ -167,7 +165,7 @@ def test_a_file_that_breaks_off_is_told(tmp_path: Path) -> None:
         ("camera_model: pinhole\ndistortion_model: equidistant", "fisheye"),
     ],
 )
-def test_words_for_a_lens(tmp_path: Path, words: str, model: str) -> None:
+def test_words_for_a_lens(tmp_path, words, model):
     """Four coefficients may be either lens; 'pinhole' says nothing but as the model of the distortion."""
     path = tmp_path / "camera.yaml"
     path.write_text(
@@ -177,7 +175,7 @@ def test_words_for_a_lens(tmp_path: Path, words: str, model: str) -> None:
 
 
 @pytest.mark.parametrize("size", ["width: 640\nheight: tall", "width: wide\nheight: 480", "width: 640"])
-def test_a_size_in_words_is_none(tmp_path: Path, size: str) -> None:
+def test_a_size_in_words_is_none(tmp_path, size):
     path = tmp_path / "camera.yaml"
     path.write_text(
         f"K: [500, 0, 320, 0, 500, 240, 0, 0, 1]\nD: [0, 0, 0, 0, 0]\ndistortion_model: plumb_bob\n{size}\n"
@@ -186,7 +184,7 @@ def test_a_size_in_words_is_none(tmp_path: Path, size: str) -> None:
         read_opencv(path)
 
 
-def test_files_of_a_camera_number_by_number(tmp_path: Path) -> None:
+def test_files_of_a_camera_number_by_number(tmp_path):
     """Pixels of OpenCV count from the middle of the first one, those of COLMAP from its corner."""
     camera = Camera(
         model="perspective",
@@ -231,9 +229,7 @@ METASHAPE = """<?xml version="1.0" encoding="UTF-8"?>
         ("fisheye", "<k4>0.4</k4><b2>0</b2>", "fisheye", [500, 500, 323, 238, 0.1, 0.2, 0.3, 0.4]),
     ],
 )  # fmt: skip
-def test_a_lens_of_metashape(
-    tmp_path: Path, kind: str, more: str, model: str, parameters: list[float]
-) -> None:
+def test_a_lens_of_metashape(tmp_path, kind, more, model, parameters):
     path = tmp_path / "lens.xml"
     path.write_text(METASHAPE.format(kind=kind, more=more))
     found = read_metashape(path)
@@ -254,9 +250,7 @@ def test_a_lens_of_metashape(
         ("frame", "<b1>wide</b1>", "no lens"),
     ],
 )
-def test_terms_of_metashape_that_are_not_known_are_refused(
-    tmp_path: Path, kind: str, more: str, words: str
-) -> None:
+def test_terms_of_metashape_that_are_not_known_are_refused(tmp_path, kind, more, words):
     path = tmp_path / "lens.xml"
     path.write_text(METASHAPE.format(kind=kind, more=more))
     with pytest.raises(InputError) as caught:
@@ -264,7 +258,7 @@ def test_terms_of_metashape_that_are_not_known_are_refused(
     assert words in str(caught.value)
 
 
-def test_a_lens_in_one_line_of_numbers(tmp_path: Path) -> None:
+def test_a_lens_in_one_line_of_numbers(tmp_path):
     path = tmp_path / "lens.txt"
     path.write_text("640 480 500 0 320 0 501 240 0 0 1 0.1 0.2 0.01 0.02 0.3\n")
     found = read_opencv(path)
@@ -272,7 +266,7 @@ def test_a_lens_in_one_line_of_numbers(tmp_path: Path) -> None:
     assert found.parameters.tolist() == [500, 501, 320.5, 240.5, 0.1, 0.2, 0.01, 0.02, 0.3]
 
 
-def test_files_that_are_no_text_or_lie_in_new_folders(tmp_path: Path) -> None:
+def test_files_that_are_no_text_or_lie_in_new_folders(tmp_path):
     (tmp_path / "bin.txt").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(InputError, match="no text file"):
         read_colmap(tmp_path / "bin.txt")

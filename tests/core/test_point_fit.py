@@ -11,7 +11,7 @@ SHIFT_M = np.array([4e5, 5.6e6, 100.0])
 
 
 @pytest.mark.parametrize(("scaled", "scale"), [(True, 2.5), (False, 1.0)])
-def test_exact_points_give_back_the_motion(rng: np.random.Generator, scaled: bool, scale: float) -> None:
+def test_exact_points_give_back_the_motion(rng, scaled, scale):
     source = rng.normal(0, 5, (6, 3))
     found, shift, factor = fit_points(source, scale * source @ R.T + SHIFT_M, scaled=scaled)
     np.testing.assert_allclose(found, R, atol=1e-9)
@@ -19,7 +19,7 @@ def test_exact_points_give_back_the_motion(rng: np.random.Generator, scaled: boo
     assert float(factor) == pytest.approx(scale, abs=1e-9)
 
 
-def test_the_fit_is_that_of_least_squares(rng: np.random.Generator) -> None:
+def test_the_fit_is_that_of_least_squares(rng):
     source = rng.normal(0, 5, (20, 3))
     target = 1.3 * source @ R.T + rng.normal(0, 0.3, (20, 3))
     found, shift, scale = fit_points(source, target, scaled=True)
@@ -34,7 +34,7 @@ def test_the_fit_is_that_of_least_squares(rng: np.random.Generator) -> None:
 
 
 @pytest.mark.parametrize("extent", [[5.0, 4.0, 3.0], [5.0, 4.0, 0.0]])
-def test_mirrored_points_get_a_proper_rotation(rng: np.random.Generator, extent: list[float]) -> None:
+def test_mirrored_points_get_a_proper_rotation(rng, extent):
     source = rng.normal(0, 1, (8, 3)) * extent
     found, _, scale = fit_points(source, source * [1, 1, -1], scaled=True)
     assert np.linalg.det(found) == pytest.approx(1)
@@ -43,7 +43,7 @@ def test_mirrored_points_get_a_proper_rotation(rng: np.random.Generator, extent:
         np.testing.assert_allclose(source @ found.T, source, atol=1e-12)
 
 
-def test_points_on_a_line_get_one_of_the_rotations_that_fit() -> None:
+def test_points_on_a_line_get_one_of_the_rotations_that_fit():
     source = np.outer(np.arange(5.0), [1.0, 2.0, 2.0])
     target = source @ R.T + SHIFT_M
     found, shift, scale = fit_points(source, target, scaled=True)
@@ -51,7 +51,7 @@ def test_points_on_a_line_get_one_of_the_rotations_that_fit() -> None:
     np.testing.assert_allclose(scale * source @ found.T + shift, target, atol=1e-6)
 
 
-def test_points_at_one_place_have_a_rotation_but_no_scale() -> None:
+def test_points_at_one_place_have_a_rotation_but_no_scale():
     source = np.ones((4, 3))
     found, shift, scale = fit_points(source, source + SHIFT_M)
     assert (np.linalg.det(found), float(scale)) == (pytest.approx(1), 1.0)
@@ -59,7 +59,7 @@ def test_points_at_one_place_have_a_rotation_but_no_scale() -> None:
     assert np.isnan(fit_points(source, source, scaled=True)[2])
 
 
-def test_many_sets_at_once_are_each_alone(rng: np.random.Generator) -> None:
+def test_many_sets_at_once_are_each_alone(rng):
     source, target = rng.normal(0, 1, (2, 30, 3, 3))
     together = fit_points(source, target, scaled=True)
     for k in range(30):
@@ -67,6 +67,6 @@ def test_many_sets_at_once_are_each_alone(rng: np.random.Generator) -> None:
             np.testing.assert_allclose(several[k], one, atol=1e-12)
 
 
-def test_nearest_rotation_of_a_rotation_is_itself_and_never_a_mirror() -> None:
+def test_nearest_rotation_of_a_rotation_is_itself_and_never_a_mirror():
     np.testing.assert_allclose(nearest_rotation(3.0 * R), R, atol=1e-14)
     np.testing.assert_allclose(nearest_rotation(np.diag([3.0, 2.0, -1.0])), np.eye(3), atol=1e-14)

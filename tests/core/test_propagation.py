@@ -34,7 +34,7 @@ def moved(links: list[Link], x: np.ndarray, errors: np.ndarray, dx: np.ndarray) 
     return x
 
 
-def test_each_derivative_by_differences(rng: np.random.Generator) -> None:
+def test_each_derivative_by_differences(rng):
     links, x = three_links(rng, 40), rng.normal(scale=20.0, size=(40, 3))
     chain = chain_derivatives(links, x)
     none = np.zeros((3, 6)), np.zeros(3)
@@ -53,7 +53,7 @@ def test_each_derivative_by_differences(rng: np.random.Generator) -> None:
         np.testing.assert_allclose(chain.by_point[:, :, k], numeric, atol=1e-7)
 
 
-def test_covariance_agrees_with_draws_through_the_chain(rng: np.random.Generator) -> None:
+def test_covariance_agrees_with_draws_through_the_chain(rng):
     links, x = three_links(rng, 1), np.array([[8.0, -3.0, 5.0]])
     chain = chain_derivatives(links, x)
     J = np.concatenate([*chain.by_link, chain.by_point], axis=2)
@@ -71,7 +71,7 @@ def test_covariance_agrees_with_draws_through_the_chain(rng: np.random.Generator
     np.testing.assert_allclose(np.cov(many.T) / scale, predicted / scale, atol=0.035)
 
 
-def test_small_changes_of_angles_are_rotation_vectors(rng: np.random.Generator) -> None:
+def test_small_changes_of_angles_are_rotation_vectors(rng):
     angles = rng.uniform(-3, 3, size=(50, 3))
     axes = opk_axes(angles[:, 0], angles[:, 1])
     assert axes.shape == (50, 3, 3)
@@ -84,7 +84,7 @@ def test_small_changes_of_angles_are_rotation_vectors(rng: np.random.Generator) 
             np.testing.assert_allclose([skew[2, 1], skew[0, 2], skew[1, 0]], A[:, k], atol=1e-9)
 
 
-def test_axes_of_a_beam(rng: np.random.Generator) -> None:
+def test_axes_of_a_beam(rng):
     beams = np.concatenate([rng.normal(size=(100, 3)), np.eye(3), -np.eye(3)])
     axes = beam_axes(beams)
     np.testing.assert_allclose(axes @ np.swapaxes(axes, 1, 2), np.tile(np.eye(3), (106, 1, 1)), atol=1e-14)
@@ -104,6 +104,6 @@ def test_axes_of_a_beam(rng: np.random.Generator) -> None:
         ([Link(rotation=np.eye(3), shift_m=np.zeros((5, 3)))], np.ones((2, 3))),
     ],
 )
-def test_shapes_that_do_not_match(links: list[Link], points: np.ndarray) -> None:
+def test_shapes_that_do_not_match(links, points):
     with pytest.raises(GeometryError, match="expected"):
         chain_derivatives(links, points)

@@ -24,7 +24,7 @@ UTM = CRS("EPSG:25833")
 
 
 @pytest.mark.filterwarnings("ignore::PendingDeprecationWarning")  # of affine, inside rasterio
-def test_written_read_and_read_by_others(tmp_path: Path) -> None:
+def test_written_read_and_read_by_others(tmp_path):
     grid = Grid.around(np.array([[10.2, 20.1], [14.9, 23.0]]), 0.5, UTM, margin_m=1.0)
     height = np.arange(grid.rows * grid.columns, dtype=float)
     height[7] = np.nan
@@ -43,7 +43,7 @@ def test_written_read_and_read_by_others(tmp_path: Path) -> None:
     assert (tmp_path / "a.tif").read_bytes() == (tmp_path / "b.tif").read_bytes()
 
 
-def test_cells_of_places() -> None:
+def test_cells_of_places():
     grid = Grid(west_m=10.0, north_m=30.0, cell_m=2.0, rows=3, columns=4, crs=UTM)
     row, column = grid.at(np.array([[10.5, 29.5], [17.9, 24.1], [9.9, 29.0], [12.0, 23.9]]))
     assert row.tolist() == [0, 2, -1, -1]
@@ -53,7 +53,7 @@ def test_cells_of_places() -> None:
     assert around == Grid(west_m=10.0, north_m=30.0, cell_m=2.0, rows=5, columns=4, crs=UTM)
 
 
-def test_a_raster_of_thousands_of_millions_of_cells_is_refused(tmp_path: Path) -> None:
+def test_a_raster_of_thousands_of_millions_of_cells_is_refused(tmp_path):
     """Of which the file holds none: some kilobytes, and 14 GB as numbers."""
     path = tmp_path / "sparse.tif"
     place = rasterio.Affine(1.0, 0.0, 400_000.0, 0.0, -1.0, 5_600_000.0)
@@ -65,7 +65,7 @@ def test_a_raster_of_thousands_of_millions_of_cells_is_refused(tmp_path: Path) -
     assert recognise(path) == "geotiff"  # a BigTIFF
 
 
-def test_bad_rasters_are_named(tmp_path: Path) -> None:
+def test_bad_rasters_are_named(tmp_path):
     with pytest.raises(GeometryError, match="at most 400 million"):
         Grid.around(np.array([[0.0, 0.0], [1e6, 1e6]]), 0.5, UTM)
     (tmp_path / "no.tif").write_text("nothing")
@@ -82,7 +82,7 @@ def test_bad_rasters_are_named(tmp_path: Path) -> None:
 # ---------------------------------------------------------------- rasters of heights
 
 
-def test_cells_of_a_raster_of_heights_by_hand() -> None:
+def test_cells_of_a_raster_of_heights_by_hand():
     """Two rows, three columns, 2 m wide and 3 m high; one cell without a height."""
     dsm = Dsm(
         height_m=np.array([[1.0, 2.0, 4.0], [3.0, np.nan, 8.0]]),
@@ -116,14 +116,14 @@ def test_cells_of_a_raster_of_heights_by_hand() -> None:
 
 
 @pytest.mark.filterwarnings("ignore::PendingDeprecationWarning")
-def test_a_bed_of_this_pipeline_is_read_with_its_sigmas_and_heights(tmp_path: Path) -> None:
+def test_a_bed_of_this_pipeline_is_read_with_its_sigmas_and_heights(tmp_path):
     """Also its exact zeros, of which others have none; sigmas only where there is a height."""
     grid = Grid(west_m=400_000.0, north_m=5_600_000.0, cell_m=0.5, rows=3, columns=5, crs=UTM)
     height, sigma = np.zeros((3, 5)), np.arange(15.0).reshape(3, 5)
     height[1, 2] = np.nan
     path = tmp_path / "bed.tif"
 
-    def written(**tags: str) -> Dsm:
+    def written(**tags):
         bands = {"height_m": height, "sigma_m": sigma, "sigma_common_m": 2 * sigma}
         write_raster(path, grid, bands, tags=tags)
         return read_dsm(path)
@@ -144,7 +144,7 @@ def test_a_bed_of_this_pipeline_is_read_with_its_sigmas_and_heights(tmp_path: Pa
 @pytest.mark.parametrize("east", [1, -1])
 @pytest.mark.parametrize("north", [1, -1])
 @pytest.mark.parametrize("code", [25833, 2263])
-def test_rows_and_columns_may_run_either_way(tmp_path: Path, east: int, north: int, code: int) -> None:
+def test_rows_and_columns_may_run_either_way(tmp_path, east, north, code):
     """Heights lie where they lie; a map in US survey feet comes into metres with its corners and cells."""
     path = tmp_path / "a.tif"
     heights = np.array([[11.5, 12.5, 13.5], [21.5, 22.5, 23.5]])[::north, ::east]
@@ -163,7 +163,7 @@ def test_rows_and_columns_may_run_either_way(tmp_path: Path, east: int, north: i
 
 
 @pytest.mark.filterwarnings("ignore::PendingDeprecationWarning")
-def test_heights_have_the_scale_and_offset_that_the_file_states(tmp_path: Path) -> None:
+def test_heights_have_the_scale_and_offset_that_the_file_states(tmp_path):
     path = tmp_path / "a.tif"
     kind = {"driver": "GTiff", "height": 2, "width": 2, "count": 1, "dtype": "int16", "nodata": -32768}
     place = rasterio.Affine(1.0, 0.0, 400_000.0, 0.0, -1.0, 5_600_000.0)

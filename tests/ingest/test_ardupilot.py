@@ -2,7 +2,6 @@
 
 import struct
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -52,7 +51,7 @@ WEEK, LAG_S = 2300, 0.2
 def packed(name: str, *values: object) -> bytes:
     kind, form, _ = MESSAGES[name]
     raw = [
-        v.encode() if isinstance(v, str) else round(v / SCALES[c]) if c in SCALES else v  # type: ignore[operator]
+        v.encode() if isinstance(v, str) else round(v / SCALES[c]) if c in SCALES else v
         for c, v in zip(form, values, strict=True)
     ]
     return struct.pack("<BBB" + "".join(SIZES[c] for c in form), 0xA3, 0x95, kind, *raw)
@@ -101,13 +100,13 @@ def boat_log(*, und_m: float = 46.5, delay_ms: float = 0.0, depth: str = "DPTH",
 
 
 @pytest.fixture
-def boat(tmp_path: Path) -> Path:
+def boat(tmp_path):
     path = tmp_path / "00000042.BIN"
     path.write_bytes(boat_log())
     return path
 
 
-def test_a_boat_has_attitude_place_depth_and_their_sigmas_on_gps_time(boat: Path) -> None:
+def test_a_boat_has_attitude_place_depth_and_their_sigmas_on_gps_time(boat):
     log = read_ardupilot([boat], TrackOptions())
     assert log.report.model == "ArduRover V4.5.1 (ab)"
     assert (len(log.states), len(log.positions), len(log.depths)) == (600, 300, 600)
@@ -136,7 +135,7 @@ def test_a_boat_has_attitude_place_depth_and_their_sigmas_on_gps_time(boat: Path
     assert fix.sigma_up_m == pytest.approx(0.03)
 
 
-def test_camera_triggers_are_times_of_photographs(boat: Path, tmp_path: Path) -> None:
+def test_camera_triggers_are_times_of_photographs(boat, tmp_path):
     """Three shots 2.5 s apart from second 60 of the boot; photographs go by their numbers."""
     boat.write_bytes(
         boat.read_bytes() + b"".join(packed("CAM", 60_000_000 + 2_500_000 * k, 0, k) for k in range(3))
@@ -156,7 +155,7 @@ def test_camera_triggers_are_times_of_photographs(boat: Path, tmp_path: Path) ->
         read_image_stamps(photos, times=boat)
 
 
-def test_a_stated_lag_counts(tmp_path: Path) -> None:
+def test_a_stated_lag_counts(tmp_path):
     path = tmp_path / "log.bin"
     path.write_bytes(boat_log(delay_ms=1e3 * LAG_S))
     log = read_ardupilot([path], TrackOptions())
@@ -164,14 +163,14 @@ def test_a_stated_lag_counts(tmp_path: Path) -> None:
     assert any("0.20 s late (stated)" in note for note in log.report.notes)
 
 
-def test_rangefinders_count_where_they_look_down_and_see_the_bottom(tmp_path: Path) -> None:
+def test_rangefinders_count_where_they_look_down_and_see_the_bottom(tmp_path):
     path = tmp_path / "log.bin"
     path.write_bytes(boat_log(depth="RFND"))
     depths = read_depths([path]).depths
     assert depths["depth_m"].value_counts().to_dict() == {4.0: 540, 0.0: 60}
 
 
-def test_without_undulation_there_is_no_ellipsoidal_height(tmp_path: Path) -> None:
+def test_without_undulation_there_is_no_ellipsoidal_height(tmp_path):
     path = tmp_path / "log.bin"
     path.write_bytes(boat_log(und_m=float("nan")))
     log = read_ardupilot([path], TrackOptions())
@@ -179,7 +178,7 @@ def test_without_undulation_there_is_no_ellipsoidal_height(tmp_path: Path) -> No
     assert any("above mean sea level" in note for note in log.report.notes)
 
 
-def test_damage_is_counted(boat: Path) -> None:
+def test_damage_is_counted(boat):
     data = boat.read_bytes()
     boat.write_bytes(data[:40_000] + b"\0" * 100 + data[40_000:-7])
     log = read_ardupilot([boat], TrackOptions())
@@ -187,7 +186,7 @@ def test_damage_is_counted(boat: Path) -> None:
     assert len(log.states) >= 598
 
 
-def test_a_log_without_gps_stays_on_the_clock_of_the_device(tmp_path: Path) -> None:
+def test_a_log_without_gps_stays_on_the_clock_of_the_device(tmp_path):
     path = tmp_path / "log.bin"
     path.write_bytes(boat_log(gps=False))
     report = describe(path)
@@ -195,7 +194,7 @@ def test_a_log_without_gps_stays_on_the_clock_of_the_device(tmp_path: Path) -> N
     assert any("No GPS time" in note for note in report.notes)
 
 
-def test_soundings_of_a_log_make_a_bed(boat: Path) -> None:
+def test_soundings_of_a_log_make_a_bed(boat):
     assert (recognise(boat), stream_of("dataflash", boat)) == ("dataflash", "ins")
     soundings = read_soundings(
         boat, None, column=None, depth=None, level_m=None, line_column=None, sigma_m=0.05
@@ -240,7 +239,7 @@ def telemetry(
     return b"".join(out)
 
 
-def test_telemetry_gives_the_same_tables(tmp_path: Path) -> None:
+def test_telemetry_gives_the_same_tables(tmp_path):
     path = tmp_path / "flight.tlog"
     path.write_bytes(telemetry())
     assert recognise(path) == "mavlink"
@@ -256,7 +255,7 @@ def test_telemetry_gives_the_same_tables(tmp_path: Path) -> None:
     assert log.triggers_gps_s == pytest.approx([float(gps_from_unix(1.7e9 + 4.0))] * 2, abs=1e-3)
 
 
-def test_signed_telemetry_is_recognised(tmp_path: Path) -> None:
+def test_signed_telemetry_is_recognised(tmp_path):
     path = tmp_path / "flight.tlog"
     path.write_bytes(telemetry(signed=True))
     assert len(path.read_bytes()) == len(telemetry()) + 13 * (5 * 100 + 2)
@@ -264,7 +263,7 @@ def test_signed_telemetry_is_recognised(tmp_path: Path) -> None:
     assert len(read_ardupilot([path], TrackOptions()).states) == 100
 
 
-def test_telemetry_without_a_clock_has_no_gps_time(tmp_path: Path) -> None:
+def test_telemetry_without_a_clock_has_no_gps_time(tmp_path):
     path = tmp_path / "flight.tlog"
     path.write_bytes(telemetry(unix_s=0.0))
     report = describe(path)
@@ -272,7 +271,7 @@ def test_telemetry_without_a_clock_has_no_gps_time(tmp_path: Path) -> None:
     assert any("ground station received it 2022-04-15" in note for note in report.notes)
 
 
-def test_what_a_ground_station_says_is_not_the_vehicles(tmp_path: Path) -> None:
+def test_what_a_ground_station_says_is_not_the_vehicles(tmp_path):
     path = tmp_path / "flight.tlog"
     path.write_bytes(telemetry(component=190))
     with pytest.raises(InputError, match="neither attitudes, positions nor depths"):
@@ -280,7 +279,7 @@ def test_what_a_ground_station_says_is_not_the_vehicles(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("other", [{"system": 2}, {"unix_s": 1.8e9}])
-def test_of_two_vehicles_or_two_starts_one_is_taken(tmp_path: Path, other: Any) -> None:
+def test_of_two_vehicles_or_two_starts_one_is_taken(tmp_path, other):
     path = tmp_path / "flight.tlog"
     path.write_bytes(telemetry(n=60, **other) + telemetry())
     log = read_ardupilot([path], TrackOptions())
@@ -290,7 +289,7 @@ def test_of_two_vehicles_or_two_starts_one_is_taken(tmp_path: Path, other: Any) 
     assert any("start with most messages is taken" in note for note in log.report.notes)
 
 
-def test_of_two_sounders_one_is_taken_and_what_lies_outside_its_reach_is_no_bottom(tmp_path: Path) -> None:
+def test_of_two_sounders_one_is_taken_and_what_lies_outside_its_reach_is_no_bottom(tmp_path):
     path = tmp_path / "flight.tlog"
     path.write_bytes(telemetry(n=20, ranges_cm=[(410, 5001 if k % 2 else 0) for k in range(20)]))
     log = read_ardupilot([path], TrackOptions())
@@ -304,7 +303,7 @@ def test_of_two_sounders_one_is_taken_and_what_lies_outside_its_reach_is_no_bott
 
 
 @pytest.mark.real
-def test_real_logs_are_as_pymavlink_counts_them(data_dir: Path) -> None:
+def test_real_logs_are_as_pymavlink_counts_them(data_dir):
     today = data_dir / "today"
     plane = read_ardupilot([today / "ardupilot_pymavlink/test.BIN"], TrackOptions())
     assert (len(plane.positions), len(plane.states)) == (5, 24)
@@ -320,9 +319,7 @@ def test_real_logs_are_as_pymavlink_counts_them(data_dir: Path) -> None:
     assert not far.report.synchronised
 
 
-def test_one_file_stands_in_each_stream_that_it_holds(
-    boat: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_one_file_stands_in_each_stream_that_it_holds(boat, tmp_path, capsys):
     folder = tmp_path / "campaigns"
     assert main(["new-campaign", "boat", "--from-logs", str(tmp_path), "--folder", str(folder)]) == 0
     path = folder / "boat.yaml"
@@ -332,7 +329,7 @@ def test_one_file_stands_in_each_stream_that_it_holds(
     assert "files: 1 ins, 1 depth" in capsys.readouterr().out
 
 
-def test_damaged_logs_are_read_or_refused(tmp_path: Path, fuzz: Any) -> None:
+def test_damaged_logs_are_read_or_refused(tmp_path, fuzz):
     read, logs = partial(read_ardupilot, options=TrackOptions()), (boat_log()[:20_000], telemetry()[:9_000])
     for data, log in read_or_refused(fuzz, tmp_path / "fuzz.bin", read, *logs):
         assert len(log.states) + len(log.positions) <= len(data) / 12

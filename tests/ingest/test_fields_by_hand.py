@@ -22,7 +22,7 @@ from thalweg.ingest.tracks.rtklib_pos import Layout, _degrees, _row, layout_from
         ("5130.0", "", "NS", None), ("", "N", "NS", None),
     ],
 )  # fmt: skip
-def test_angles_of_sentences(text: str, side: str, sides: str, value: float | None) -> None:
+def test_angles_of_sentences(text, side, sides, value):
     if value is None:
         with pytest.raises(ValueError):
             degrees(text, side, sides)
@@ -33,7 +33,7 @@ def test_angles_of_sentences(text: str, side: str, sides: str, value: float | No
 # ---------------------------------------------------------------- RINEX
 
 
-def test_days_and_seconds_of_epochs() -> None:
+def test_days_and_seconds_of_epochs():
     assert _day_second(1980, 1, 6, 0, 0, 0.0) == (0, 0.0)
     assert _day_second(1981, 1, 6, 23, 59, 60.5) == (366, 86_400.5)
     for wrong in (
@@ -46,7 +46,7 @@ def test_days_and_seconds_of_epochs() -> None:
     assert [_year(n) for n in (79, 80, 99, 0)] == [2079, 1980, 1999, 2000]
 
 
-def test_navigation_data_has_the_time_scale_of_its_system() -> None:
+def test_navigation_data_has_the_time_scale_of_its_system():
     """GLONASS is in UTC, BeiDou 14 s behind GPS."""
     scan = RinexScan.__new__(RinexScan)
     days = 16_000.0
@@ -87,7 +87,7 @@ LLH = ("Q", "ns", "sdn", "sde", "sdu", "sdne", "sdeu", "sdun", "age", "ratio")
         (["50", "06", "00.0", "13", "12", "00.0", "200.0", *TAIL], "llh", True, LLH),
     ],
 )  # fmt: skip
-def test_columns_without_a_header(fields: list[str], form: str, dms: bool, names: tuple[str, ...]) -> None:
+def test_columns_without_a_header(fields, form, dms, names):
     layout = layout_from_header([], [*DATE, *fields])
     assert (layout.form, layout.dms, layout.names) == (form, dms, names)
     assert (layout.calendar, layout.scale, layout.geodetic, len(layout.guesses)) == (True, "gps", False, 2)
@@ -95,7 +95,7 @@ def test_columns_without_a_header(fields: list[str], form: str, dms: bool, names
     assert not layout_from_header([], ["1948", "499513.4", *fields]).calendar
 
 
-def test_a_header_names_its_columns() -> None:
+def test_a_header_names_its_columns():
     sigmas = "sdn(m) sde(m) sdu(m) sdne(m) sdeu(m) sdue(m)"
     plain = f"  UTC   latitude(deg) longitude(deg) height(m)   Q  ns {sigmas} age(s)"
     layout = layout_from_header(["program : x", "(lat/lon/height=WGS84/geodetic,Q=1:fix)", plain], DATE)
@@ -122,7 +122,7 @@ def row(
     return _row([date, time, *(more or ("50.1", "13.2", "200.0", "1", "11"))], replace(LAYOUT, **layout))
 
 
-def test_numbers_of_a_line() -> None:
+def test_numbers_of_a_line():
     day = 17_298 * 86_400.0  # days from 1970 to 12 May 2017
     assert row() == [day + 18 * 3600 + 45 * 60, 13.4, 0.0, 50.1, 13.2, 200.0, 1.0, 11.0]
     assert row("2016/12/31", "23:59:60.25")[1:3] == [59.25, 1.0]

@@ -19,7 +19,7 @@ def hang(fuzz: Any, seen: list[bytes]) -> None:
         time.sleep(20.0)
 
 
-def test_an_endless_reader_fails(fuzz: Any) -> None:
+def test_an_endless_reader_fails(fuzz):
     seen: list[bytes] = []
     with pytest.raises(TimeoutError, match=r"input 0: not done within 0\.05 s"):
         hang(fuzz, seen)
@@ -28,31 +28,31 @@ def test_an_endless_reader_fails(fuzz: Any) -> None:
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="the cap of memory is for Linux only")
-def test_a_greedy_reader_fails(fuzz: Any) -> None:
+def test_a_greedy_reader_fails(fuzz):
     np.empty(1 << 30, dtype=np.uint8)
     with pytest.raises(MemoryError):
         np.empty(3 << 30, dtype=np.uint8)
 
 
-def test_the_cap_of_memory_is_taken_off() -> None:
+def test_the_cap_of_memory_is_taken_off():
     assert resource.getrlimit(resource.RLIMIT_AS) == BEFORE
 
 
-def test_a_reader_that_refuses_all_fails(fuzz: Any) -> None:
+def test_a_reader_that_refuses_all_fails(fuzz):
     n = sum(1 for _ in fuzz.inputs(b"abc", b"xyz"))
     assert n == fuzz.count
     with pytest.raises(AssertionError, match=f"0 of {n} inputs were read"):
         fuzz.check(read=0.1, troubled=0.1)
 
 
-def test_a_reader_that_reports_nothing_fails(fuzz: Any) -> None:
+def test_a_reader_that_reports_nothing_fails(fuzz):
     for _ in fuzz.inputs(b"abc"):
         fuzz.was_read()
     with pytest.raises(AssertionError, match=r"0 of \d+ inputs were refused or reported"):
         fuzz.check(read=0.1, troubled=0.1)
 
 
-def test_a_loop_that_ends_early_fails(fuzz: Any) -> None:
+def test_a_loop_that_ends_early_fails(fuzz):
     for _ in fuzz.inputs(b"abc"):
         fuzz.was_read(reported=True)
         break
@@ -61,7 +61,7 @@ def test_a_loop_that_ends_early_fails(fuzz: Any) -> None:
         fuzz.check(read=0.1, troubled=0.1)
 
 
-def test_damage_is_of_every_kind_and_the_same_each_time(fuzz: Any) -> None:
+def test_damage_is_of_every_kind_and_the_same_each_time(fuzz):
     source = bytes(range(200))
     found = list(itertools.islice(fuzz.inputs(source, most=2), 300))  # 200 bytes hold no 10,000 damages
     sizes = np.array([len(data) for data in found])

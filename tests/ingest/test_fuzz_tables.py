@@ -193,7 +193,7 @@ def more_columns(form: Form, rng: np.random.Generator) -> Form:
 
 
 def text(**how: object) -> Callable[[Form, np.random.Generator], Form]:
-    return lambda form, rng: replace(form, **how)  # type: ignore[arg-type]
+    return lambda form, rng: replace(form, **how)
 
 
 def grouped(form: Form, rng: np.random.Generator) -> Form:
@@ -334,7 +334,7 @@ def suits(name: str, how: str) -> bool:
 
 
 @pytest.mark.parametrize(("how", "name"), [(h, n) for h, n in pairs(SAME) if suits(n, h)])
-def test_fuzz_of_tables_with_one_result(name: str, how: str, tmp_path: Path) -> None:
+def test_fuzz_of_tables_with_one_result(name, how, tmp_path):
     for draw in range(DRAWS):
         values, right = content(name, draw)
         assert len(right) == len(values)
@@ -354,7 +354,7 @@ def test_fuzz_of_tables_with_one_result(name: str, how: str, tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize(("how", "name"), [(h, n) for h, n in pairs(REFUSED) if n != "marks"])
-def test_fuzz_of_tables_that_are_refused(name: str, how: str, tmp_path: Path) -> None:
+def test_fuzz_of_tables_that_are_refused(name, how, tmp_path):
     place = how.startswith(("east", "feet", "milli", "kilo", "the zone"))
     if place and name in UNTOLD:
         pytest.skip("no coordinate system is known")
@@ -370,7 +370,7 @@ def test_fuzz_of_tables_that_are_refused(name: str, how: str, tmp_path: Path) ->
 LENGTH_FORMS = ("feet", "US", "cent", "fath", "metres", "degrees", "groups")  # which have six decimals
 
 
-def test_fuzz_of_two_changes_at_once(tmp_path: Path) -> None:
+def test_fuzz_of_two_changes_at_once(tmp_path):
     """Any two forms of one content, one after the other, have it still, or are refused."""
     rng = np.random.default_rng([7, SEED])
     hows = [h for h in SAME if not h.startswith(("units below", "the file", "a row"))]

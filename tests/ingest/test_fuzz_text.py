@@ -172,7 +172,7 @@ def misused(data: bytes, rng: np.random.Generator) -> bytes:
 
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("name", READERS)
-def test_fuzz_of_documents(name: str, fuzz: Any, tmp_path: Path) -> None:
+def test_fuzz_of_documents(name, fuzz, tmp_path):
     """Right or refused in our words, within 10 s and 2 GB; never another error."""
     file, text, read = READERS[name]
     path = tmp_path / file

@@ -96,7 +96,7 @@ def video(tmp_path: Path, *payloads: bytes) -> Path:
     return path
 
 
-def test_positions_lie_on_the_line_through_the_stamps(tmp_path: Path) -> None:
+def test_positions_lie_on_the_line_through_the_stamps(tmp_path):
     """One stamp is a second and a half late, as in a video of a GoPro Max: no position moves by that."""
     path = video(tmp_path, gps5(0, fix=0), gps5(1, late_s=1.5), *(gps5(k) for k in range(2, 7)))
     assert is_gopro(path.read_bytes(), 0)
@@ -115,15 +115,14 @@ def test_positions_lie_on_the_line_through_the_stamps(tmp_path: Path) -> None:
     assert (len(positions), report.format) == (120, "GoPro video (GPMF)")
 
 
-def test_payloads_of_unequal_length_lie_on_one_line(tmp_path: Path) -> None:
+def test_payloads_of_unequal_length_lie_on_one_line(tmp_path):
     """Each stamp is that of the first position of its payload; two dimensions are a fix, too."""
     payloads = gps5(0), gps5(1, n=18), gps5(2, n=22, late_s=-0.1), gps5(3, fix=2)
     found = read_gopro([video(tmp_path, *payloads)], TrackOptions()).positions
-    assert found is not None
     assert found["t_gps_s"].to_numpy() == pytest.approx(gps_from_unix(UNIX_S + np.arange(80) / 20), abs=1e-3)
 
 
-def test_a_recent_camera_states_the_time_of_each_position(tmp_path: Path) -> None:
+def test_a_recent_camera_states_the_time_of_each_position(tmp_path):
     """Where both are there the older stream, which would be spread, is not taken."""
     log = read_gopro([video(tmp_path, gps9(), gps5(1))], TrackOptions())
     expected = dt.datetime(2026, 5, 12, 10, tzinfo=dt.UTC).timestamp() + 0.1 * np.arange(1, 10)
@@ -131,15 +130,14 @@ def test_a_recent_camera_states_the_time_of_each_position(tmp_path: Path) -> Non
     assert log.report.counts["positions_without_fix"] == 1
 
 
-def test_the_first_frame_gets_the_time_of_the_receiver(tmp_path: Path) -> None:
+def test_the_first_frame_gets_the_time_of_the_receiver(tmp_path):
     """The fix comes in the second payload: the video began a second before."""
     begin = begin_by_gps(video(tmp_path, gps5(0, fix=0), gps5(1)))
-    assert begin is not None
     assert begin.timestamp() == pytest.approx(UNIX_S, abs=1e-3)
     assert begin_by_gps(video(tmp_path, gps5(0, fix=0))) is None
 
 
-def test_a_video_without_a_fix_is_refused(tmp_path: Path) -> None:
+def test_a_video_without_a_fix_is_refused(tmp_path):
     with pytest.raises(InputError, match="20 positions, none with a fix"):
         describe(video(tmp_path, gps5(0, fix=0)))
     cut = tmp_path / "cut.MP4"
@@ -149,7 +147,7 @@ def test_a_video_without_a_fix_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.real
-def test_a_real_track_is_as_exiftool_reads_it(data_dir: Path) -> None:
+def test_a_real_track_is_as_exiftool_reads_it(data_dir):
     """exiftool -ee: 191 positions, stamps 23:45:16.470 to 25.435 of payloads 2 to 11, 0.990 s apart; the
     first says 23:45:14.000, and lies on no line with them.
     """

@@ -29,7 +29,7 @@ def written(tmp_path: Path, text: str) -> Path:
     return path
 
 
-def test_points_and_fields(tmp_path: Path) -> None:
+def test_points_and_fields(tmp_path):
     cloud = read_cloud(written(tmp_path, HEAD + BODY))
     np.testing.assert_array_equal(cloud.points, [[1.5, 2, 3], [-1, 0.5, 2.25]])
     np.testing.assert_array_equal(cloud.intensity, [10, 20])
@@ -37,7 +37,7 @@ def test_points_and_fields(tmp_path: Path) -> None:
     assert cloud.report.losses == {"points_not_finite": 1}
 
 
-def test_the_binary_form_with_padding_is_read_alike(tmp_path: Path) -> None:
+def test_the_binary_form_with_padding_is_read_alike(tmp_path):
     """As PCL pads: a field without a meaning between, of several values, twice."""
     fields = [("xyz", "<f4", 3), ("a", "u1", 4), ("intensity", "<f4"), ("ring", "<u2"), ("b", "u1", 2)]
     rows = np.zeros(3, fields)
@@ -69,7 +69,7 @@ def test_the_binary_form_with_padding_is_read_alike(tmp_path: Path) -> None:
     ],
     ids=["cut", "short line", "word"],
 )
-def test_what_is_missing_or_damaged_is_counted(tmp_path: Path, text: str, losses: dict[str, int]) -> None:
+def test_what_is_missing_or_damaged_is_counted(tmp_path, text, losses):
     cloud = read_cloud(written(tmp_path, text))
     assert cloud.report.losses == losses
     np.testing.assert_array_equal(cloud.points[0], [1.5, 2, 3])
@@ -87,7 +87,7 @@ def test_what_is_missing_or_damaged_is_counted(tmp_path: Path, text: str, losses
     ],
     ids=["no coordinates", "no points", "sizes", "words", "no data", "compressed"],
 )
-def test_bad_files_are_told(tmp_path: Path, text: str, message: str) -> None:
+def test_bad_files_are_told(tmp_path, text, message):
     with pytest.raises(InputError, match=message) as caught:
         read_cloud(written(tmp_path, text))
     assert "a.pcd" in str(caught.value)

@@ -10,7 +10,7 @@ from thalweg.ingest.pcap.capture import FOUND, find_pcapng
 from thalweg.ingest.ppk.exports import _pieces
 
 
-def test_each_epoch_of_a_track_is_on_the_map() -> None:
+def test_each_epoch_of_a_track_is_on_the_map():
     """Four fixed, three float, two single ones: lines that meet, with longitude, latitude, height."""
     table = pd.DataFrame(
         {
@@ -32,9 +32,7 @@ def test_each_epoch_of_a_track_is_on_the_map() -> None:
     ("kind", "found"),
     [(0x0A0D0D0A, True), (1, True), (2, True), (3, True), (6, True), (4, False), (5, False), (7, False)],
 )
-def test_a_capture_goes_on_at_blocks_of_packets_interfaces_and_sections(
-    kind: int, found: bool, big: bool
-) -> None:
+def test_a_capture_goes_on_at_blocks_of_packets_interfaces_and_sections(kind, found, big):
     order = ">" if big else "<"
     block = struct.pack(order + "II", kind, 20) + bytes(8) + struct.pack(order + "I", 20)
     data = np.frombuffer(b"\x99" * 6 + block, dtype=np.uint8)

@@ -1,6 +1,5 @@
 """The sources of positions that a campaign can choose."""
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,7 +22,7 @@ def states() -> pd.DataFrame:
     )
 
 
-def test_positions_inside_ins_states(tmp_path: Path) -> None:
+def test_positions_inside_ins_states(tmp_path):
     write_table(tmp_path / "states.parquet", states(), INS_STATE)
     table, report = read_positions("ins", [], states=tmp_path / "states.parquet", **NOTHING)
     assert report.stream == "positions"
@@ -33,12 +32,12 @@ def test_positions_inside_ins_states(tmp_path: Path) -> None:
     write_table(tmp_path / "positions.parquet", table, GNSS_POSITION)
 
 
-def test_an_unknown_source_is_answered_with_the_known_ones(tmp_path: Path) -> None:
+def test_an_unknown_source_is_answered_with_the_known_ones(tmp_path):
     with pytest.raises(InputError, match="'gps'; expected pos, sbp, nmea, gpx, ppk, sbet or ins"):
         read_positions("gps", [], states=tmp_path / "x", **NOTHING)
 
 
-def test_an_indefinite_covariance_does_not_pass(tmp_path: Path) -> None:
+def test_an_indefinite_covariance_does_not_pass(tmp_path):
     names = "latitude(deg) longitude(deg) height(m) Q ns sdn(m) sde(m) sdu(m) sdne(m) sdeu(m) sdun(m) age(s)"
     lines = [f"%  GPST                  {names} ratio"]
     for second in range(20):
@@ -54,8 +53,8 @@ def test_an_indefinite_covariance_does_not_pass(tmp_path: Path) -> None:
     np.testing.assert_allclose(positions_from_states(states())["sigma_up_m"], np.arange(5.0))
 
 
-def test_of_tracks_of_the_same_time_the_best_is_taken(tmp_path: Path) -> None:
-    def track(name: str, first: int, quality: int) -> Path:
+def test_of_tracks_of_the_same_time_the_best_is_taken(tmp_path):
+    def track(name, first, quality):
         lines = [
             f"2021/05/12 08:31:{first + k:02d}.0 51.05{k * k:03d} 13.25 300.0 {quality} 12 .02 .02 .03"
             " 0 0 0 0 9"
@@ -71,7 +70,7 @@ def test_of_tracks_of_the_same_time_the_best_is_taken(tmp_path: Path) -> None:
 
 
 @pytest.mark.real
-def test_ppk_through_the_sections_of_a_campaign(data_dir: Path, tmp_path: Path) -> None:
+def test_ppk_through_the_sections_of_a_campaign(data_dir, tmp_path):
     log = data_dir / "sbp_piksi_rtk_2017/2017-05-12-v1.1.26.sbp"
     table, report = read_positions(
         "ppk",
@@ -96,7 +95,7 @@ GPX = """<?xml version="1.0" encoding="UTF-8"?>
 """
 
 
-def test_a_track_in_gpx(tmp_path: Path) -> None:
+def test_a_track_in_gpx(tmp_path):
     """Ellipsoidal heights where the file says how high the geoid is; a point without a time is counted."""
     path = tmp_path / "track.xml"
     for more, heights in (
@@ -118,14 +117,14 @@ def test_a_track_in_gpx(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "text", ["<gpx><trk>", "<gpx><rte/></gpx>", GPX.format(more="").replace("51.05", "x")]
 )
-def test_a_gpx_without_a_track_is_refused(tmp_path: Path, text: str) -> None:
+def test_a_gpx_without_a_track_is_refused(tmp_path, text):
     path = tmp_path / "track.gpx"
     path.write_text(text)
     with pytest.raises(InputError, match=r"no readable GPX|no XML|no track point with a time"):
         read_positions("gpx", [path], states=None, **NOTHING)
 
 
-def test_depths_zones_and_waypoints_of_gpx(tmp_path: Path) -> None:
+def test_depths_zones_and_waypoints_of_gpx(tmp_path):
     """Extensions of two programs, one in feet; a time without zone; a place that is no track."""
     path = tmp_path / "track.gpx"
     extension = '<extensions><x:e xmlns:x="{uri}"><x:{tag}>{value}</x:{tag}></x:e></extensions>'

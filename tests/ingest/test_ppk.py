@@ -117,7 +117,7 @@ def run(folder: Path, files: dict[str, bytes | None], options: dict[str, object]
 @pytest.mark.parametrize(
     ("files", "options", "fragment"), [b[1:] for b in BAD_INPUT], ids=[b[0] for b in BAD_INPUT]
 )
-def test_bad_input(tmp_path: Path, files, options, fragment: str) -> None:
+def test_bad_input(tmp_path, files, options, fragment):
     with pytest.raises(InputError) as caught:
         run(tmp_path, files, options)
     assert fragment in str(caught.value)
@@ -125,14 +125,14 @@ def test_bad_input(tmp_path: Path, files, options, fragment: str) -> None:
     assert caught.value.expected
 
 
-def test_no_files_and_missing_file(tmp_path: Path) -> None:
+def test_no_files_and_missing_file(tmp_path):
     with pytest.raises(InputError, match="no rover files"):
         run_ppk([], None, [], OPTIONS)
     with pytest.raises(InputError, match="file not found"):
         run_ppk([tmp_path / "none.sbp"], None, [], OPTIONS)
 
 
-def test_unusable_observations_give_an_error_with_what_the_engine_printed(tmp_path: Path) -> None:
+def test_unusable_observations_give_an_error_with_what_the_engine_printed(tmp_path):
     """Ephemerides of zeros pass the checks before the run; no position comes out, and that is said."""
     with pytest.raises(InputError, match=r"no position for 5 rover epochs; it printed: .+"):
         run(tmp_path, {}, {})
@@ -158,7 +158,7 @@ CRASHES = [
 
 
 @pytest.mark.parametrize(("code", "fragment"), CRASHES)
-def test_crash_of_the_engine_is_an_input_error(tmp_path: Path, code: str, fragment: str) -> None:
+def test_crash_of_the_engine_is_an_input_error(tmp_path, code, fragment):
     worker = tmp_path / "worker.py"
     worker.write_text(code)
     with pytest.raises(InputError) as caught:
@@ -169,7 +169,7 @@ def test_crash_of_the_engine_is_an_input_error(tmp_path: Path, code: str, fragme
     assert str(caught.value).startswith("rover.sbp: the RTKLIB engine")
 
 
-def test_progress_lines_are_told_once(tmp_path: Path) -> None:
+def test_progress_lines_are_told_once(tmp_path):
     worker = tmp_path / "worker.py"
     worker.write_text(
         "import json, sys\n"
@@ -181,7 +181,7 @@ def test_progress_lines_are_told_once(tmp_path: Path) -> None:
     assert answer.output == "processing : 2017/05/12 18:45:59.0 Q=1 | no nav data"
 
 
-def test_a_setting_that_the_engine_ignores_is_found(tmp_path: Path) -> None:
+def test_a_setting_that_the_engine_ignores_is_found(tmp_path):
     """The engine keeps its default for a word that it does not know, and says nothing."""
     settings = {"pos2-armode": "nonsense", "pos1-elmask": "10"}
     write_settings(tmp_path / "a.conf", settings)
@@ -211,7 +211,7 @@ LINE = (
 )
 
 
-def test_solution_of_the_engine(tmp_path: Path) -> None:
+def test_solution_of_the_engine(tmp_path):
     path = tmp_path / "a.pos"
     path.write_text(HEAD + LINE)
     row = read_solution(path).iloc[0]
@@ -223,7 +223,7 @@ def test_solution_of_the_engine(tmp_path: Path) -> None:
     assert row["fix"] == "fixed"
 
 
-def test_no_solution_is_an_empty_table(tmp_path: Path) -> None:
+def test_no_solution_is_an_empty_table(tmp_path):
     path = tmp_path / "a.pos"
     assert list(read_solution(path).columns) == list(GNSS_POSITION.names)
     path.write_text(HEAD)
@@ -232,7 +232,7 @@ def test_no_solution_is_an_empty_table(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("bad", ["1948 499911.0 37.7", LINE.strip() + " 7", "1948 " + "x " * 14])
-def test_damaged_solution_is_refused(tmp_path: Path, bad: str) -> None:
+def test_damaged_solution_is_refused(tmp_path, bad):
     path = tmp_path / "a.pos"
     path.write_text(HEAD + LINE + bad + "\n")
     with pytest.raises(InputError, match="1 lines of the engine's solution are damaged"):
@@ -247,7 +247,7 @@ def noisy(n: int = 61) -> pd.DataFrame:
     return table
 
 
-def test_indefinite_covariance_is_replaced_by_its_neighbours() -> None:
+def test_indefinite_covariance_is_replaced_by_its_neighbours():
     table = noisy()
     table.loc[30, "sigma_east_m"] = 0.0
     table.loc[30, "cov_en_m2"] = 9e-6
@@ -261,7 +261,7 @@ def test_indefinite_covariance_is_replaced_by_its_neighbours() -> None:
     assert table.loc[30, "sigma_east_m"] == 0.0  # the argument stays as it was
 
 
-def test_covariance_without_good_neighbours_is_raised_to_the_floor() -> None:
+def test_covariance_without_good_neighbours_is_raised_to_the_floor():
     table = noisy(1)
     table["sigma_up_m"] = 1e-4
     fixed, n = replace_covariances(table)
@@ -269,7 +269,7 @@ def test_covariance_without_good_neighbours_is_raised_to_the_floor() -> None:
     assert np.linalg.eigvalsh(covariance_enu(fixed)[0])[0] == pytest.approx(SIGMA_FLOOR_M**2, rel=1e-6)
 
 
-def test_good_and_unknown_covariances_stay() -> None:
+def test_good_and_unknown_covariances_stay():
     table = noisy()
     table.loc[3, "cov_en_m2"] = np.nan
     fixed, n = replace_covariances(table)
@@ -277,6 +277,6 @@ def test_good_and_unknown_covariances_stay() -> None:
     pd.testing.assert_frame_equal(fixed, table)
 
 
-def test_worker_answers_in_json(tmp_path: Path) -> None:
+def test_worker_answers_in_json(tmp_path):
     run_worker([], tmp_path, where="", time_limit_s=60.0)
     assert json.loads((tmp_path / "answer.json").read_text())["answers"] == []

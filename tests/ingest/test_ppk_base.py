@@ -75,14 +75,14 @@ def positions(away_m: np.ndarray, fix: list[str]) -> pd.DataFrame:
         ),
     ],
 )  # fmt: skip
-def test_the_base_stands_where_it_is_stated(options: dict, expected: np.ndarray, words: str | None) -> None:
+def test_the_base_stands_where_it_is_stated(options, expected, words):
     found, notes = _base_position(inputs(), PpkOptions(**options), Path("base.obs"))
     np.testing.assert_allclose(found, expected, atol=1e-6)
     assert len(notes) == (words is not None)
     assert words is None or words in notes[0]
 
 
-def test_a_header_without_a_position_is_refused() -> None:
+def test_a_header_without_a_position_is_refused():
     options = PpkOptions(base_source="rinex_header")
     for place, words in (
         (None, "is absent"),
@@ -98,13 +98,13 @@ def replace_scan(**changes: Any) -> Any:
     return SimpleNamespace(**(vars(inputs().base[0]) | changes))
 
 
-def test_the_base_of_sbp_logs_is_the_median_of_what_they_state(tmp_path: Path) -> None:
+def test_the_base_of_sbp_logs_is_the_median_of_what_they_state(tmp_path):
     options = PpkOptions(base_source="from_sbp")
     scan = replace_scan(antenna_delta_hen_m=(0.0, 0.0, 0.0))
     rows = BASE + np.outer([0.004, 0.0, 0.0, 0.0, 0.0], EAST)
     rows[3:] = [[1000.0] * 3, [0.0] * 3]  # inside the earth, not yet set
 
-    def found(*logs: np.ndarray) -> tuple[np.ndarray, list[str]]:
+    def found(*logs):
         rover, base = (
             collect(files_of(tmp_path, b"".join(sbp(0x0048, row.tobytes(), 0) for row in log)))
             for log in logs
@@ -124,8 +124,8 @@ def test_the_base_of_sbp_logs_is_the_median_of_what_they_state(tmp_path: Path) -
         found(np.zeros((1, 3)), np.zeros((1, 3)))
 
 
-def test_the_base_is_compared_with_its_own_single_positions() -> None:
-    def check(east_m: list[float]) -> tuple[float | None, list[str]]:
+def test_the_base_is_compared_with_its_own_single_positions():
+    def check(east_m):
         away = np.column_stack([east_m, np.zeros(len(east_m)), np.zeros(len(east_m))])
         return _check_base(positions(away, ["single"] * len(east_m)), BASE, Path("base.obs"))
 
@@ -157,7 +157,7 @@ def solution() -> PpkSolution:
     return PpkSolution(positions=table, report=report, options=options, base_ecef_m=BASE)
 
 
-def test_a_solution_says_what_it_has_and_how_far_it_reaches() -> None:
+def test_a_solution_says_what_it_has_and_how_far_it_reaches():
     found = solution()
     report = found.report
     assert isinstance(report, IntegrityReport)
@@ -190,7 +190,7 @@ def test_a_solution_says_what_it_has_and_how_far_it_reaches() -> None:
     assert report.losses == {}
 
 
-def test_a_solution_as_files(tmp_path: Path) -> None:
+def test_a_solution_as_files(tmp_path):
     found = solution()
     files = write_solution(found, tmp_path / "new/ppk", name="Elbe & Mulde")
     assert [file.name for file in files] == [

@@ -42,7 +42,7 @@ def solution(wrong: slice, off_m: float, seed: int = 1) -> tuple[pd.DataFrame, p
     return table(error, "fixed", 0.01), table(floats, "float", 0.15)
 
 
-def test_fixes_that_agree_with_the_float_solution_stay() -> None:
+def test_fixes_that_agree_with_the_float_solution_stay():
     fixed, floats = solution(slice(0, 0), 0.0)
     found, trust = trust_fixes(fixed, floats, 1.0, KNOWN, np.full(N, 100.0), np.zeros(N), **LIMITS)
     assert (found["fix"] == "fixed").all()
@@ -51,7 +51,7 @@ def test_fixes_that_agree_with_the_float_solution_stay() -> None:
     assert found["sigma_up_m"].to_numpy() == pytest.approx(0.01, rel=1e-3)
 
 
-def test_integers_that_are_metres_off_become_float() -> None:
+def test_integers_that_are_metres_off_become_float():
     """Five epochs 2.3 m off with 1 cm stated, among float ones; the truth lies within three sigmas after."""
     fixed, floats = solution(slice(90, 105), -2.3)
     mixed = pd.concat([floats[:90], fixed[90:105], floats[105:]], ignore_index=True)
@@ -63,7 +63,7 @@ def test_integers_that_are_metres_off_become_float() -> None:
     assert (np.abs(errors_m(found)) < 3 * sigma).all()
 
 
-def test_integers_over_100_km_are_not_trusted() -> None:
+def test_integers_over_100_km_are_not_trusted():
     fixed, floats = solution(slice(0, 0), 0.0)
     found, trust = trust_fixes(fixed, floats, 1.0, KNOWN, np.full(N, 99_700.0), np.zeros(N), **LIMITS)
     assert trust.refused["baseline"] == N
@@ -72,7 +72,7 @@ def test_integers_over_100_km_are_not_trusted() -> None:
     assert found["sigma_east_m"].to_numpy() == pytest.approx(np.hypot(2 * 0.15, 0.4985), rel=1e-3)
 
 
-def test_a_few_seconds_of_fixes_may_be_chance() -> None:
+def test_a_few_seconds_of_fixes_may_be_chance():
     fixed, floats = solution(slice(0, 0), 0.0)
     mixed = pd.concat([floats[:90], fixed[90:94], floats[94:100], fixed[100:]], ignore_index=True)
     found, trust = trust_fixes(mixed, floats, 1.0, KNOWN, np.full(N, 100.0), np.zeros(N), **LIMITS)
@@ -81,7 +81,7 @@ def test_a_few_seconds_of_fixes_may_be_chance() -> None:
     assert not (found["fix"][90:94] == "fixed").any()
 
 
-def test_refused_epochs_without_a_float_position_are_counted() -> None:
+def test_refused_epochs_without_a_float_position_are_counted():
     fixed, floats = solution(slice(0, 0), 0.0)
     found, trust = trust_fixes(fixed, floats[:150], 1.0, KNOWN, np.full(N, 50_000.0), np.zeros(N), **LIMITS)
     assert len(found) == 150

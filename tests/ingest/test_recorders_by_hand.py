@@ -33,7 +33,7 @@ def report() -> IntegrityReport:
 # ---------------------------------------------------------------- autopilots
 
 
-def test_the_nearest_fix_and_the_nearest_row_count() -> None:
+def test_the_nearest_fix_and_the_nearest_row_count():
     place = pd.DataFrame({"t_s": [0.0, 1.0, 4.0], "fix": ["fixed", "single", "float"]})
     found = _nearest(place, np.array([-9.0, 0.4, 0.6, 2.4, 2.6, 9.0]))
     assert found.tolist() == ["fixed", "fixed", "3d", "3d", "float", "float"]
@@ -46,7 +46,7 @@ def test_the_nearest_fix_and_the_nearest_row_count() -> None:
     assert both["fix"].tolist() == ["fixed", "single", "float"]  # its own stay
 
 
-def test_places_without_a_fix_and_of_damage_are_none() -> None:
+def test_places_without_a_fix_and_of_damage_are_none():
     lat = [51.0, 0.0, 0.0, 5.0, 90.1, -90.0, 51.0, 51.0]
     lon = [13.0, 0.0, 5.0, 0.0, 13.0, 180.0, 180.1, -180.0]
     table = pd.DataFrame({"lat_deg": lat, "lon_deg": lon})
@@ -64,7 +64,7 @@ def test_places_without_a_fix_and_of_damage_are_none() -> None:
     assert len(_depths(pings[["t_s"]], report())) == 0
 
 
-def test_states_have_the_place_and_the_sigmas_of_their_time() -> None:
+def test_states_have_the_place_and_the_sigmas_of_their_time():
     attitude = pd.DataFrame(
         {"t_s": [0.5, 1.0, 3.0], "roll_rad": [0.1, 0.2, 0.3], "yaw_rad": [-0.5, 7.0, 0.0]}
     )
@@ -102,7 +102,7 @@ def receiver(number: int, status: list[int], lead_s: float = 0.0) -> pd.DataFram
     )  # fmt: skip
 
 
-def test_of_two_receivers_the_one_with_the_better_fixes_counts() -> None:
+def test_of_two_receivers_the_one_with_the_better_fixes_counts():
     log = {
         "GPS": pd.concat([receiver(0, [3, 3, 3]), receiver(1, [6, 6, 3])]),
         "GPA": pd.DataFrame(
@@ -139,7 +139,7 @@ def test_of_two_receivers_the_one_with_the_better_fixes_counts() -> None:
     assert len(_dataflash_fixes({}, told)[0]) == 0
 
 
-def test_the_filter_tells_sigmas_by_its_covariance() -> None:
+def test_the_filter_tells_sigmas_by_its_covariance():
     """Four times the trace of the quaternion's part is that of all angles."""
     names = {f"V0{k}": v for k, v in enumerate([1e-4, 1e-4, 1e-4, 2e-4, 0, 0, 0, 0.04, 0.09, 0.25])}
     log = {
@@ -172,7 +172,7 @@ def dataflash(**more: pd.DataFrame) -> dict[str, pd.DataFrame]:
     }  # fmt: skip
 
 
-def test_a_dataflash_log_by_hand() -> None:
+def test_a_dataflash_log_by_hand():
     """Attitude in degrees, places that are some, speeds of the filter in use, sigmas of the receiver."""
     told = report()
     ranges = pd.DataFrame(
@@ -198,7 +198,7 @@ def test_a_dataflash_log_by_hand() -> None:
     assert len(_of_dataflash({}, report())[3]) == 0
 
 
-def test_telemetry_by_hand() -> None:
+def test_telemetry_by_hand():
     """Integers with their scales; 255 satellites, heights and accuracies of 0 are none."""
     raw = pd.DataFrame(
         {
@@ -262,7 +262,7 @@ def gga(
     return head + place + struct.pack("<d", lon) + other.get("east", b"E") + bytes([quality, 15]) + bytes(8)
 
 
-def test_fixes_beside_an_ensemble() -> None:
+def test_fixes_beside_an_ensemble():
     found = _gga(gga(lag_s=0.25))
     assert found == {
         "lat_deg": 51.0, "lon_deg": 13.0, "quality": 4.0, "n_sats": 15.0, "day_s": 43_230.5, "lag_s": 0.25
@@ -278,7 +278,7 @@ def test_fixes_beside_an_ensemble() -> None:
         assert math.isnan(_gga(none)["lat_deg"])
 
 
-def test_an_ensemble_by_hand() -> None:
+def test_an_ensemble_by_hand():
     """Of several fixes the nearest in time; bottoms beyond 655.36 m have a third byte."""
     fixed = bytearray(42)
     fixed[5], fixed[26:28] = 2, struct.pack("<h", -150)
@@ -318,7 +318,7 @@ def test_an_ensemble_by_hand() -> None:
         (7200.0, "The instrument's clock is 7,200.00 s behind GNSS: it may show local time."),
     ],
 )
-def test_the_instruments_clock_is_set_by_the_time_of_day(ahead_s: float, words: str) -> None:
+def test_the_instruments_clock_is_set_by_the_time_of_day(ahead_s, words):
     """Also across midnight; the median counts."""
     clock = pd.Timestamp("2024-05-17T23:59:50Z").timestamp() + np.arange(5.0)
     day_s = np.mod(clock + ahead_s + [0, 0, 0, 0, 5.0], 86_400.0)
@@ -329,7 +329,7 @@ def test_the_instruments_clock_is_set_by_the_time_of_day(ahead_s: float, words: 
     assert told.notes == [words]
 
 
-def test_ends_of_slanted_beams_by_hand() -> None:
+def test_ends_of_slanted_beams_by_hand():
     """45 degrees would be as far aside as deep; at heading 90 forward is east, and starboard south."""
     table = pd.DataFrame(
         {

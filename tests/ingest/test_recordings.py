@@ -11,7 +11,6 @@ import threading
 import warnings
 import zipfile
 from collections import namedtuple
-from collections.abc import Iterator
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -47,7 +46,7 @@ class Origin(SimpleHTTPRequestHandler):
 
 
 @pytest.fixture
-def origin(tmp_path: Path) -> Iterator[tuple[str, Path, list[str]]]:
+def origin(tmp_path):
     """Address, folder and requests of a server of files."""
     folder = tmp_path / "origin"
     for path, content in {**FILES, "cut.bin": FILES["log.bin"]}.items():
@@ -81,7 +80,7 @@ def contents(folder: Path) -> dict[str, bytes]:
     return {p.relative_to(folder).as_posix(): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
 
 
-def test_files_are_downloaded_once(tmp_path: Path, origin: tuple[str, Path, list[str]]) -> None:
+def test_files_are_downloaded_once(tmp_path, origin):
     base, _, asked = origin
     files = {"depths.csv": stated(FILES["sub/depths.csv"], "sub/depths.csv")}
     files["log.bin"] = stated(FILES["log.bin"], f"{base}log.bin")
@@ -99,7 +98,7 @@ def test_files_are_downloaded_once(tmp_path: Path, origin: tuple[str, Path, list
 
 
 @pytest.mark.parametrize("name", ["all.zip", "all.tar.gz"])
-def test_archives_are_unpacked(tmp_path: Path, origin: tuple[str, Path, list[str]], name: str) -> None:
+def test_archives_are_unpacked(tmp_path, origin, name):
     base, folder, _ = origin
     if name.endswith(".zip"):
         with zipfile.ZipFile(folder / name, "w") as archive:
@@ -128,9 +127,7 @@ def test_archives_are_unpacked(tmp_path: Path, origin: tuple[str, Path, list[str
         ),
     ],
 )
-def test_what_goes_wrong_is_said_and_nothing_is_left(
-    tmp_path: Path, origin: tuple[str, Path, list[str]], path: str, text: str, message: str
-) -> None:
+def test_what_goes_wrong_is_said_and_nothing_is_left(tmp_path, origin, path, text, message):
     recording = registered(tmp_path, origin[0], {path: text})
     with pytest.raises(InputError, match=message) as caught:
         fetch_recording(recording, tmp_path)
@@ -139,7 +136,7 @@ def test_what_goes_wrong_is_said_and_nothing_is_left(
     check_whole(caught.value)
 
 
-def test_a_mirror_is_asked_first(tmp_path: Path, origin: tuple[str, Path, list[str]]) -> None:
+def test_a_mirror_is_asked_first(tmp_path, origin):
     base, folder, asked = origin
     mirror = tmp_path / "mirror"
     (mirror / "boat/one").mkdir(parents=True)
@@ -156,7 +153,7 @@ def test_a_mirror_is_asked_first(tmp_path: Path, origin: tuple[str, Path, list[s
     assert contents(fetch_recording(recording, mirror, mirror)) == FILES
 
 
-def test_a_file_of_the_user_is_not_written_over(tmp_path: Path) -> None:
+def test_a_file_of_the_user_is_not_written_over(tmp_path):
     recording = registered(tmp_path, "http://127.0.0.1:9/", {"log.bin": stated(b"whole")})
     (tmp_path / "boat/one").mkdir(parents=True)
     (tmp_path / "boat/one/log.bin").write_bytes(b"edited")
@@ -166,9 +163,7 @@ def test_a_file_of_the_user_is_not_written_over(tmp_path: Path) -> None:
     assert (tmp_path / "boat/one/log.bin").read_bytes() == b"edited"
 
 
-def test_a_full_disk(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_full_disk(tmp_path, monkeypatch, capsys):
     """Told before the first byte; and where it fills meanwhile, nothing half is left."""
     recording = registered(tmp_path, "http://127.0.0.1:9/", {"log.bin": stated(bytes(2_000_000))})
     Usage = namedtuple("Usage", "free")
@@ -181,7 +176,7 @@ def test_a_full_disk(
     mirror.mkdir(parents=True)
     (mirror / "log.bin").write_bytes(bytes(2_000_000))
 
-    def full(_: Path, part: str) -> None:
+    def full(_, part):
         Path(part).write_bytes(bytes(1000))
         raise OSError(errno.ENOSPC, "No space left on device", part)
 
@@ -193,7 +188,7 @@ def test_a_full_disk(
     assert contents(tmp_path / "mine") == {}
 
 
-def test_the_list_and_a_name_that_is_none(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_list_and_a_name_that_is_none(capsys):
     assert main(["fetch"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == len(public_recordings()) + 1
@@ -203,7 +198,7 @@ def test_the_list_and_a_name_that_is_none(capsys: pytest.CaptureFixture[str]) ->
     assert recording_named("lowrance_sl2", public_recordings()).name == "today/lowrance_sl2"
 
 
-def test_every_row_of_the_registry_can_be_used_by_strangers() -> None:
+def test_every_row_of_the_registry_can_be_used_by_strangers():
     """An origin that never changes, a licence, somebody to name; no registry of packages, no way out."""
     for recording in public_recordings().values():
         assert recording.licence
@@ -223,7 +218,7 @@ def test_every_row_of_the_registry_can_be_used_by_strangers() -> None:
 
 
 @pytest.mark.real
-def test_the_recordings_of_the_tests_are_those_of_the_registry(data_dir: Path) -> None:
+def test_the_recordings_of_the_tests_are_those_of_the_registry(data_dir):
     """Byte by byte, as far as the folder holds them."""
     known = public_recordings().values()
     listed = [
@@ -236,9 +231,7 @@ def test_the_recordings_of_the_tests_are_those_of_the_registry(data_dir: Path) -
 
 
 @pytest.mark.real
-def test_a_recording_from_the_mirror(
-    data_dir: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_recording_from_the_mirror(data_dir, tmp_path, monkeypatch, capsys):
     log = data_dir / "anpp_sdk_log/Log.anpp"
     assert data_dir / "sbp_piksi_rtk_2017/2017-05-12-v1.1.26.sbp"
     monkeypatch.setenv("THALWEG_DATA", str(data_dir))

@@ -26,7 +26,7 @@ def write(path: Path, xyz: np.ndarray, frame) -> Path:
     return path
 
 
-def test_stations_of_all_frames_meet_in_the_world(tmp_path: Path) -> None:
+def test_stations_of_all_frames_meet_in_the_world(tmp_path):
     sets = [points(k) for k in range(3)]
     files = [
         write(tmp_path / "map.laz", FRAME.to_map(sets[0], UTM), UTM),
@@ -43,7 +43,7 @@ def test_stations_of_all_frames_meet_in_the_world(tmp_path: Path) -> None:
     assert any("states no CRS: taken as EPSG:25833" in note for note in report.notes)
 
 
-def test_a_cloud_of_another_local_frame_is_refused(tmp_path: Path) -> None:
+def test_a_cloud_of_another_local_frame_is_refused(tmp_path):
     other = LocalFrame(lat_deg=51.06, lon_deg=13.25, h_ell_m=300.0)
     path = write(tmp_path / "other.laz", points(1), other)
     with pytest.raises(InputError, match=r"other\.laz: the cloud is in the local frame at"):
@@ -51,7 +51,7 @@ def test_a_cloud_of_another_local_frame_is_refused(tmp_path: Path) -> None:
     assert not (tmp_path / "out.laz").exists()
 
 
-def test_local_coordinates_without_a_frame_are_no_map(tmp_path: Path) -> None:
+def test_local_coordinates_without_a_frame_are_no_map(tmp_path):
     path = write(tmp_path / "silent.laz", points(1), None)
     with pytest.raises(
         GeometryError, match=r"silent\.laz.*outside.*; coordinates of the world frame would fit"
@@ -95,7 +95,7 @@ def other(code: int) -> np.ndarray:
     ],
     ids=["swapped", "lon lat", "lat lon", "ecef", "mm", "feet", "zone", "Gauss-Krueger", "nowhere", "strays"],
 )
-def test_a_file_elsewhere_is_named_with_a_guess(tmp_path: Path, xyz: np.ndarray, guess: str) -> None:
+def test_a_file_elsewhere_is_named_with_a_guess(tmp_path, xyz, guess):
     files = [write_ply(tmp_path / "good.ply", MAP), write_ply(tmp_path / "wrong.ply", xyz)]
     with pytest.raises(GeometryError, match=guess) as error:
         gather_reference(files, tmp_path / "out.laz", FRAME, "EPSG:25833")
@@ -109,7 +109,7 @@ def test_a_file_elsewhere_is_named_with_a_guess(tmp_path: Path, xyz: np.ndarray,
     assert not (tmp_path / "out.laz").exists()
 
 
-def test_a_file_that_states_a_wrong_grid_is_named(tmp_path: Path) -> None:
+def test_a_file_that_states_a_wrong_grid_is_named(tmp_path):
     path = write(tmp_path / "lies.laz", MAP, CRS(25832))
     with pytest.raises(GeometryError, match=r"the file states ETRS89 / UTM zone 32N.*UTM zone 33N would fit"):
         gathered(path, tmp_path)
@@ -118,13 +118,13 @@ def test_a_file_that_states_a_wrong_grid_is_named(tmp_path: Path) -> None:
         gathered(bessel, tmp_path)
 
 
-def test_coarse_coordinates_are_refused(tmp_path: Path) -> None:
+def test_coarse_coordinates_are_refused(tmp_path):
     path = write_ply(tmp_path / "coarse.ply", MAP, "f4")
     with pytest.raises(InputError, match=r"coarse\.ply: .*resolve 500 mm; expected 10 mm.*Export doubles"):
         gathered(path, tmp_path)
 
 
-def test_coordinates_that_were_rounded_before_are_told(tmp_path: Path) -> None:
+def test_coordinates_that_were_rounded_before_are_told(tmp_path):
     """Doubles, or whole millimetres of LAZ, that came out of single precision."""
     fine = FRAME.to_map(points(3, 5000), UTM)
     rounded = write(tmp_path / "rounded.laz", fine.astype(np.float32).astype(np.float64), UTM)
@@ -135,7 +135,7 @@ def test_coordinates_that_were_rounded_before_are_told(tmp_path: Path) -> None:
     assert not [n for n in gathered(write(tmp_path / "fine.laz", fine, UTM), tmp_path).notes if "steps" in n]
 
 
-def test_losses_are_told_by_file(tmp_path: Path) -> None:
+def test_losses_are_told_by_file(tmp_path):
     spoilt = MAP.copy()
     spoilt[5] = np.nan
     files = [write_ply(tmp_path / "good.ply", MAP), write_ply(tmp_path / "holes.ply", spoilt)]
@@ -145,12 +145,12 @@ def test_losses_are_told_by_file(tmp_path: Path) -> None:
     assert sum("CRS" in note or "reference system" in note for note in report.notes) == 2  # once a file
 
 
-def test_no_files_are_told(tmp_path: Path) -> None:
+def test_no_files_are_told(tmp_path):
     with pytest.raises(InputError, match=r"logs\.reference: no reference cloud; expected at least one file"):
         gather_reference([], tmp_path / "out.laz", FRAME, "EPSG:25833")
     assert not (tmp_path / "out.laz").exists()
 
 
-def test_map_and_back_is_the_same_place(rng: np.random.Generator) -> None:
+def test_map_and_back_is_the_same_place(rng):
     xyz = rng.uniform(-1500, 1500, (100, 3))
     np.testing.assert_allclose(FRAME.from_map(FRAME.to_map(xyz, UTM), UTM), xyz, atol=1e-6)

@@ -36,12 +36,12 @@ def library(path: Path) -> list[Any]:
 
 
 @pytest.fixture(scope="module")
-def rtk(data_dir: Path) -> PositionLog:
+def rtk(data_dir):
     return read_sbp([data_dir / RTK])
 
 
 @pytest.fixture(scope="module")
-def rtk_start(data_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def rtk_start(data_dir, tmp_path_factory):
     """The first third of the log: the library takes its time."""
     path = tmp_path_factory.mktemp("rtk") / "start.sbp"
     path.write_bytes((data_dir / RTK).read_bytes()[:700_000])
@@ -49,7 +49,7 @@ def rtk_start(data_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def rtk_library(rtk_start: Path) -> list[Any]:
+def rtk_library(rtk_start):
     return library(rtk_start)
 
 
@@ -82,9 +82,7 @@ def same_as_library(records: SbpRecords, messages: list[Any]) -> int:
     return compared
 
 
-def test_every_wanted_message_of_the_rtk_log_equals_the_library(
-    rtk_start: Path, rtk_library: list[Any]
-) -> None:
+def test_every_wanted_message_of_the_rtk_log_equals_the_library(rtk_start, rtk_library):
     records = collect([rtk_start])
     assert same_as_library(records, rtk_library) > 50_000
     want = Counter((m.msg_type, m.sender) for m in rtk_library)
@@ -94,7 +92,7 @@ def test_every_wanted_message_of_the_rtk_log_equals_the_library(
 
 
 @pytest.mark.parametrize("name", [FILTER, ROUNDTRIP])
-def test_every_wanted_message_of_other_firmware_equals_the_library(data_dir: Path, name: str) -> None:
+def test_every_wanted_message_of_other_firmware_equals_the_library(data_dir, name):
     messages, records = library(data_dir / name), collect([data_dir / name])
     same_as_library(records, messages)
     assert records.counts == Counter((m.msg_type, m.sender) for m in messages)
@@ -103,7 +101,7 @@ def test_every_wanted_message_of_other_firmware_equals_the_library(data_dir: Pat
     )
 
 
-def test_the_library_loses_sound_messages_behind_damage(data_dir: Path) -> None:
+def test_the_library_loses_sound_messages_behind_damage(data_dir):
     """Its framer swallows a damaged frame whole; what lies inside it is found here."""
     ours = find_messages(np.fromfile(data_dir / SHORT, np.uint8))
     theirs = library(data_dir / SHORT)
@@ -114,7 +112,7 @@ def test_the_library_loses_sound_messages_behind_damage(data_dir: Path) -> None:
         i = mine.index((m.msg_type, m.sender, m.length), i) + 1
 
 
-def test_rtk_figures_of_the_provenance(rtk: PositionLog) -> None:
+def test_rtk_figures_of_the_provenance(rtk):
     report, t = rtk.report, rtk.positions["t_gps_s"].to_numpy()
     found = counts_of(rtk)
     assert (sum(found.values()), len(found)) == (59065, 32)
@@ -136,7 +134,7 @@ def test_rtk_figures_of_the_provenance(rtk: PositionLog) -> None:
     assert report.losses == {"bytes_outside_messages": 102, "messages_cut_at_end": 1}
 
 
-def test_rtk_solution_of_the_provenance(rtk: PositionLog, data_dir: Path) -> None:
+def test_rtk_solution_of_the_provenance(rtk, data_dir):
     base = base_positions(collect([data_dir / RTK]))
     assert base.shape == (440, 3)
     # the PROVENANCE prints four decimals of a metre, nine of a degree
@@ -151,7 +149,7 @@ def test_rtk_solution_of_the_provenance(rtk: PositionLog, data_dir: Path) -> Non
     assert row["n_sats"] == 9
 
 
-def test_every_position_equals_the_library(rtk: PositionLog, rtk_library: list[Any]) -> None:
+def test_every_position_equals_the_library(rtk, rtk_library):
     want = [m for m in rtk_library if m.msg_type == sm.POS_LLH and m.flags & 7]
     assert len(want) > 1000
     found = rtk.positions.iloc[: len(want)]
@@ -162,7 +160,7 @@ def test_every_position_equals_the_library(rtk: PositionLog, rtk_library: list[A
     np.testing.assert_allclose(found["t_gps_s"], gps_from_week(1948, tow * 1e-3), atol=5.001e-4)
 
 
-def test_coldstart_figures_of_the_provenance(data_dir: Path) -> None:
+def test_coldstart_figures_of_the_provenance(data_dir):
     log = read_sbp([data_dir / COLD])
     assert sum(counts_of(log).values()) == 61599
     assert {k: n for k, n in counts_of(log).items() if k.startswith("MsgObs ")} == {"MsgObs 12027": 1253}
@@ -174,7 +172,7 @@ def test_coldstart_figures_of_the_provenance(data_dir: Path) -> None:
     assert "base_positions" not in log.report.counts
 
 
-def test_sample_figures_of_the_provenance(data_dir: Path) -> None:
+def test_sample_figures_of_the_provenance(data_dir):
     filtered = read_sbp([data_dir / FILTER])
     assert sum(counts_of(filtered).values()) == 7056
     assert (filtered.report.counts["imu_raw"], filtered.report.counts["mag_raw"]) == (1622, 203)
@@ -195,7 +193,7 @@ def test_sample_figures_of_the_provenance(data_dir: Path) -> None:
     ]
 
 
-def test_stated_accuracy_is_the_longer_axis_of_the_ellipse(data_dir: Path) -> None:
+def test_stated_accuracy_is_the_longer_axis_of_the_ellipse(data_dir):
     """Where a receiver sends both, the accuracy of MsgPosLLH is this axis, in whole millimetres."""
     records = collect([data_dir / FILTER])
     plain, cov = records.of(sm.POS_LLH).fields, records.of(sm.POS_LLH_COV).fields
@@ -207,7 +205,7 @@ def test_stated_accuracy_is_the_longer_axis_of_the_ellipse(data_dir: Path) -> No
     np.testing.assert_allclose(plain["v_accuracy"], 1e3 * np.sqrt(cov["cov_d_d"]), atol=1.0)
 
 
-def test_covariances_are_turned_to_east_north_up(data_dir: Path) -> None:
+def test_covariances_are_turned_to_east_north_up(data_dir):
     log, cov = read_sbp([data_dir / FILTER]), collect([data_dir / FILTER]).of(sm.POS_LLH_COV).fields
     p = log.positions
     for name, want in (
@@ -221,7 +219,7 @@ def test_covariances_are_turned_to_east_north_up(data_dir: Path) -> None:
         np.testing.assert_allclose(p[name], want, rtol=1e-12)  # products with exact ones and zeros
 
 
-def test_earth_centred_messages_say_the_same(data_dir: Path, tmp_path: Path) -> None:
+def test_earth_centred_messages_say_the_same(data_dir, tmp_path):
     """A log without geodetic messages: position and covariance come from MsgPosECEF(Cov)."""
     data = np.fromfile(data_dir / FILTER, np.uint8)
     block = find_messages(data)
@@ -241,7 +239,7 @@ def test_earth_centred_messages_say_the_same(data_dir: Path, tmp_path: Path) -> 
         np.testing.assert_allclose(ecef[name], llh[name], rtol=1e-4, atol=1e-5)
 
 
-def test_the_log_twice_is_the_log_once(data_dir: Path) -> None:
+def test_the_log_twice_is_the_log_once(data_dir):
     one, two = read_sbp([data_dir / ROUNDTRIP]), read_sbp([data_dir / ROUNDTRIP] * 2)
     np.testing.assert_array_equal(one.positions["t_gps_s"], two.positions["t_gps_s"])
     assert two.report.counts["positions_repeated_dropped"] == 466

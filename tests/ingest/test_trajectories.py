@@ -46,7 +46,7 @@ def reader_of(kind: str):
 
 @pytest.mark.parametrize("body_axes", BODY_AXES)
 @pytest.mark.parametrize("kind", ["tum", "euroc", "kitti"])
-def test_poses_on_earth(tmp_path: Path, kind: str, body_axes: str) -> None:
+def test_poses_on_earth(tmp_path, kind, body_axes):
     path = write(kind, tmp_path / "poses", body_axes)
     assert recognise(path) == kind
     times = tmp_path / "times.txt"
@@ -73,7 +73,7 @@ def test_poses_on_earth(tmp_path: Path, kind: str, body_axes: str) -> None:
 
 
 @pytest.mark.parametrize("kind", ["tum", "euroc", "kitti"])
-def test_what_a_table_does_not_hold_is_asked_for(tmp_path: Path, kind: str) -> None:
+def test_what_a_table_does_not_hold_is_asked_for(tmp_path, kind):
     path = write(kind, tmp_path / "poses", "forward-left-up")
     with pytest.raises(
         InputError, match="frame, body_axes, time_scale, sigma_position_m, sigma_attitude_deg"
@@ -99,7 +99,7 @@ def test_what_a_table_does_not_hold_is_asked_for(tmp_path: Path, kind: str) -> N
         ("tum", "# nothing\n", "no poses"),
     ],
 )
-def test_damaged_tables_are_refused(tmp_path: Path, kind: str, text: str, told: str) -> None:
+def test_damaged_tables_are_refused(tmp_path, kind, text, told):
     path = tmp_path / "poses"
     path.write_text(text)
     with pytest.raises(InputError, match=told):
@@ -107,7 +107,7 @@ def test_damaged_tables_are_refused(tmp_path: Path, kind: str, text: str, told: 
 
 
 @pytest.mark.real
-def test_poses_of_a_real_lidar(data_dir: Path) -> None:
+def test_poses_of_a_real_lidar(data_dir):
     path = data_dir / "ouster_sdk_samples/OS-1-128_v2.3.0_1024x10_lb_n3_poses_kitti.txt"
     assert recognise(path) == "kitti"
     poses = read_text_poses("kitti", [path])
@@ -131,7 +131,7 @@ def export(path: Path, *, sigmas: bool = True, header: str = HEADER) -> Path:
     return path
 
 
-def test_inertial_explorer_by_its_header(tmp_path: Path) -> None:
+def test_inertial_explorer_by_its_header(tmp_path):
     path = export(tmp_path / "boat.txt")
     assert recognise(path) == "inertial_explorer"
     log = read_poses([path], "sbet", TrackOptions())
@@ -148,7 +148,7 @@ def test_inertial_explorer_by_its_header(tmp_path: Path) -> None:
     assert describe(path).counts["poses"] == 4
 
 
-def test_inertial_explorer_in_degrees_minutes_seconds(tmp_path: Path) -> None:
+def test_inertial_explorer_in_degrees_minutes_seconds(tmp_path):
     header = HEADER.replace("(deg)", "(+/-D M S)", 2)
     path = tmp_path / "dms.txt"
     row = "2235 300000.0 -0 30 36.0 13 15 00.0 120.5 0.1 0.2 0.3 1.0 -2.0 359.5 0.01 0.02 0.03 1.2 1.8 6.0"
@@ -157,7 +157,7 @@ def test_inertial_explorer_in_degrees_minutes_seconds(tmp_path: Path) -> None:
     assert (first["lat_deg"], first["lon_deg"]) == pytest.approx((-0.51, 13.25))
 
 
-def test_inertial_explorer_without_sigmas_units_or_columns(tmp_path: Path) -> None:
+def test_inertial_explorer_without_sigmas_units_or_columns(tmp_path):
     path = export(tmp_path / "bare.txt", sigmas=False)
     bare = read_poses([path], "sbet", TrackOptions())
     assert bare.states[["sigma_up_m", "sigma_roll_rad"]].isna().all(axis=None)
@@ -184,7 +184,7 @@ PARTS = {"more": "Roll RollSD SDHoriz", "units": "(Deg) (Deg) (m)"}
 @pytest.mark.parametrize(
     ("form", "day"), [("(MDY)", "6/12/2024"), ("(d/m/y)", "12/06/2024"), ("(YMD)", "2024-06-12")]
 )
-def test_inertial_explorer_by_date_and_other_names(tmp_path: Path, dms: str, form: str, day: str) -> None:
+def test_inertial_explorer_by_date_and_other_names(tmp_path, dms, form, day):
     path = tmp_path / "aerial.txt"
     path.write_text(AERIAL.format(dms=dms, form=form, day=day, **PARTS))
     assert recognise(path) == "inertial_explorer"
@@ -207,7 +207,7 @@ def test_inertial_explorer_by_date_and_other_names(tmp_path: Path, dms: str, for
     assert np.isnan(first["sigma_up_m"])
 
 
-def test_inertial_explorer_with_a_date_of_another_day_or_none(tmp_path: Path) -> None:
+def test_inertial_explorer_with_a_date_of_another_day_or_none(tmp_path):
     path = tmp_path / "aerial.txt"
     path.write_text(AERIAL.format(dms="(D M S)", form="(MDY)", day="6/15/2024", **PARTS))
     with pytest.raises(InputError, match="second 295,218 of the week on 2024-06-15, a Saturday"):
@@ -238,7 +238,7 @@ UPRIGHT = [0.0, 0.0, np.sin(0.3), np.cos(0.3)]
         ("# time [ms] q_w [] q_x [] q_y [] q_z [] p_x [m] p_y [m] p_z [m]", "wxyz first"),
     ],
 )
-def test_names_decide_the_order_of_the_quaternion(tmp_path: Path, head: str, order: str) -> None:
+def test_names_decide_the_order_of_the_quaternion(tmp_path, head, order):
     path = tmp_path / "poses.txt"
     cells = [UPRIGHT["xyzw".index(axis)] for axis in order[:4]]
     separator = ", " if head.startswith(("timestamp,", "#time")) else " "
@@ -253,7 +253,7 @@ def test_names_decide_the_order_of_the_quaternion(tmp_path: Path, head: str, ord
     np.testing.assert_allclose(states["heading_rad"], np.pi / 2 - 0.6, atol=1e-5)
 
 
-def test_a_boat_upside_down_is_refused_unless_it_is_stated(tmp_path: Path) -> None:
+def test_a_boat_upside_down_is_refused_unless_it_is_stated(tmp_path):
     path = tmp_path / "poses.txt"
     x, y, z, w = UPRIGHT
     path.write_text("".join(f"{T0 + k} 0 0 0 {w} {x} {y} {z}\n" for k in range(4)))
@@ -263,7 +263,7 @@ def test_a_boat_upside_down_is_refused_unless_it_is_stated(tmp_path: Path) -> No
     assert len(read_poses([path], "ins", replace(options, upside_down=True)).states) == 4
 
 
-def test_times_of_a_table_of_poses_contradict_the_stated_scale(tmp_path: Path) -> None:
+def test_times_of_a_table_of_poses_contradict_the_stated_scale(tmp_path):
     path = tmp_path / "poses.txt"
     path.write_text("".join(f"{1_718_186_400 + k} 0 0 0 0 0 0 1\n" for k in range(4)))
     options = TrackOptions(**STATED | {"time_scale": "gps"}, body_axes="forward-left-up")
@@ -276,7 +276,7 @@ def test_times_of_a_table_of_poses_contradict_the_stated_scale(tmp_path: Path) -
 
 
 @pytest.mark.parametrize(("per_second", "separator"), [(10**3, " "), (10**9, " "), (10**3, ",")])
-def test_stamps_of_poses_in_other_units(tmp_path: Path, per_second: int, separator: str) -> None:
+def test_stamps_of_poses_in_other_units(tmp_path, per_second, separator):
     path = tmp_path / "poses.txt"
     head = "# timestamp x y z qx qy qz qw\n"
     rows = [[(1_718_186_400 + k) * per_second, 0, 0, 0, 0, 0, 0, 1] for k in range(4)]
@@ -286,14 +286,14 @@ def test_stamps_of_poses_in_other_units(tmp_path: Path, per_second: int, separat
     assert any("seconds since 1970" in note for note in log.report.notes)
 
 
-def test_a_week_counter_that_rolled_over_is_doubted(tmp_path: Path) -> None:
+def test_a_week_counter_that_rolled_over_is_doubted(tmp_path):
     path = export(tmp_path / "boat.txt")
     path.write_text(path.read_text().replace("2235 ", "187 "))
     notes = " ".join(read_poses([path], "sbet", TrackOptions()).report.notes)
     assert "2048 weeks later 2022-11-" in notes
 
 
-def test_inertial_explorer_with_a_time_of_the_day(tmp_path: Path) -> None:
+def test_inertial_explorer_with_a_time_of_the_day(tmp_path):
     path = tmp_path / "export.txt"
     head = "GPSTime Date Lat Lon H-Ell Roll Pitch Heading\n(HMS) (DMY) (deg) (deg) (m) (deg) (deg) (deg)\n"
     row = "10:00:18.25 12/06/2024 51.05 13.75 155.0 1.0 2.0 3.0\n"

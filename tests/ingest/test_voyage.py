@@ -22,7 +22,7 @@ def stamp(second: float) -> str:
 
 
 @pytest.fixture
-def day(tmp_path: Path) -> Path:
+def day(tmp_path):
     """Two lasers, each counterclockwise from the front; two states of a car that heads north."""
     drive = tmp_path / "2011_09_26/2011_09_26_drive_0099_sync"
     for folder in ("oxts/data", "velodyne_points/data"):
@@ -40,7 +40,7 @@ def day(tmp_path: Path) -> Path:
     return drive.parent
 
 
-def test_points_have_the_time_and_the_laser_of_their_direction(day, repository, tmp_path) -> None:
+def test_points_have_the_time_and_the_laser_of_their_direction(day, repository, tmp_path):
     bag = tmp_path / "data/drive.bag"
     runpy.run_path(str(repository / SCRIPT))["main"](day, bag)
     reader = lidar_reader([bag])
@@ -59,7 +59,7 @@ def test_points_have_the_time_and_the_laser_of_their_direction(day, repository, 
     np.testing.assert_allclose(poses["sigma_up_m"], 0.2, atol=1e-9)
 
 
-def test_raised_beams_look_higher_at_the_same_range(day, repository, tmp_path) -> None:
+def test_raised_beams_look_higher_at_the_same_range(day, repository, tmp_path):
     bag = tmp_path / "data/raised.bag"
     runpy.run_path(str(repository / SCRIPT))["main"](day, bag, 0.205)
     reader = lidar_reader([bag])
@@ -70,7 +70,7 @@ def test_raised_beams_look_higher_at_the_same_range(day, repository, tmp_path) -
 
 @pytest.mark.real
 @pytest.mark.skipif("THALWEG_VOYAGE" not in os.environ, reason="THALWEG_VOYAGE names no folder 2011_09_26")
-def test_the_drive_has_the_points_that_the_page_says(repository, tmp_path) -> None:
+def test_the_drive_has_the_points_that_the_page_says(repository, tmp_path):
     bag = tmp_path / "drive.bag"
     runpy.run_path(str(repository / SCRIPT))["main"](Path(os.environ["THALWEG_VOYAGE"]), bag)
     scan = lidar_reader([bag]).scan()

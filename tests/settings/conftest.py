@@ -66,7 +66,7 @@ def patched(changes: dict[str, Any]) -> dict[str, Any]:
 
 
 @pytest.fixture
-def survey(tmp_path: Path) -> Path:
+def survey(tmp_path):
     """Folder with the dummy logs."""
     for name, content in LOGS.items():
         path = tmp_path / name
@@ -76,10 +76,10 @@ def survey(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def write(survey: Path) -> Spoil:
+def write(survey):
     """Writes the good campaign with changes at dotted paths, or the text given."""
 
-    def write(changes: dict[str, Any] | str | None = None, name: str = "good.yaml") -> Path:
+    def write(changes=None, name="good.yaml"):
         path = survey / name
         text = (
             changes if isinstance(changes, str) else yaml.safe_dump(patched(changes or {}), sort_keys=False)
@@ -91,6 +91,6 @@ def write(survey: Path) -> Spoil:
 
 
 @pytest.fixture
-def removed() -> object:
+def removed():
     """The mark that takes a key out."""
     return REMOVE

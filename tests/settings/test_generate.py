@@ -96,7 +96,7 @@ _ERRORS = re.compile(
 )
 
 
-def test_a_default_of_an_error_names_its_source_or_says_that_there_is_none() -> None:
+def test_a_default_of_an_error_names_its_source_or_says_that_there_is_none():
     paths = [path for path in all_paths() if _ERRORS.fullmatch(".".join(path))]
     assert len(paths) == 15
     for path in paths:

@@ -1,6 +1,5 @@
 """``mounts.calibration``: what it names is looked into before the first job."""
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -34,10 +33,10 @@ def write_boat(path: Path, *names: str, lever_m: tuple[float, float, float] = (-
 
 
 @pytest.fixture
-def campaigns(tmp_path: Path) -> Callable[..., Path]:
+def campaigns(tmp_path):
     """Writes a campaign of the twin into a folder of campaigns and gives its path."""
 
-    def write(name: str, calibration: object = None, size: str = "tiny", **mounts: object) -> Path:
+    def write(name, calibration=None, size="tiny", **mounts):
         mounts |= {} if calibration is None else {"calibration": calibration}
         data = {"campaign": {"id": name, **IDENTITY}, "twin": {"size": size}, "mounts": mounts}
         path = tmp_path / f"{name}.yaml"

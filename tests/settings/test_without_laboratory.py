@@ -18,7 +18,7 @@ def run(*arguments: str, repository: Path) -> subprocess.CompletedProcess[str]:
     )
 
 
-def test_a_twin_without_the_laboratory_is_refused_with_what_is_missing(repository: Path) -> None:
+def test_a_twin_without_the_laboratory_is_refused_with_what_is_missing(repository):
     result = run("check-config", "tiny", repository=repository)
     assert result.returncode == 2
     assert "twin: a digital twin, but the laboratory that simulates it (package thalweg_lab)" in result.stderr
@@ -26,7 +26,7 @@ def test_a_twin_without_the_laboratory_is_refused_with_what_is_missing(repositor
     assert result.stderr.startswith("1 mistake")
 
 
-def test_a_survey_needs_no_laboratory(repository: Path, tmp_path: Path) -> None:
+def test_a_survey_needs_no_laboratory(repository, tmp_path):
     points = "\n".join(f"{x} {y} {(x * y) % 3}" for x in range(12) for y in range(12))
     for name in ("cloud.xyz", "reference.xyz"):
         (tmp_path / name).write_text(points, encoding="utf-8")

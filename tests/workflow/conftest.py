@@ -136,19 +136,19 @@ def copy_house(repository: Path, target: Path) -> House:
 
 
 @pytest.fixture(scope="session")
-def house_builder() -> Callable[[Path, Path], House]:
+def house_builder():
     """`copy_house`, for tests that need a copy of their own."""
     return copy_house
 
 
 @pytest.fixture(scope="session")
-def empty_house(repository: Path, tmp_path_factory: pytest.TempPathFactory) -> House:
+def empty_house(repository, tmp_path_factory):
     """A copy without results, for dry runs."""
     return copy_house(repository, tmp_path_factory.mktemp("house"))
 
 
 @pytest.fixture(scope="session")
-def tiny_house(repository: Path, tmp_path_factory: pytest.TempPathFactory) -> House:
+def tiny_house(repository, tmp_path_factory):
     """A copy in which the tiny campaign ran, was killed during the lidar simulation, and was resumed.
 
     Resumed in three parts: the twin alone, the processing while the folder of the truth is away, and the rest

@@ -23,7 +23,7 @@ def calls(repository: Path) -> Iterator[tuple[str, str, set[str]]]:
             yield name, called[1], {*of_pages, *re.findall(r'(?m)(?:^ {12}|\{)"(\w+)":', body)}
 
 
-def test_rules_give_what_their_functions_take(repository: Path) -> None:
+def test_rules_give_what_their_functions_take(repository):
     found = list(calls(repository))
     assert len(found) > 20
     for rule, called, given in found:

@@ -6,7 +6,6 @@ written from the twin's true ground, so that it is known what must come out.
 
 import json
 import shutil
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -73,7 +72,7 @@ def write_files(folder: Path, tiny: Path, frame: LocalFrame, crs: CRS, twin: Twi
 
 
 @pytest.fixture(scope="module")
-def others(tiny_house) -> Iterator[tuple[Path, Path]]:
+def others(tiny_house):
     """Folders of results of the tiny campaign and of the one with files of others."""
     root = tiny_house.root
     tiny, ours = root / "results/tiny", root / "results/others"
@@ -126,7 +125,7 @@ def errors_m(folder: Path, tiny: Path) -> np.ndarray:
     return height[inside] - of["height_m"][row[inside], column[inside]]
 
 
-def test_soundings_of_others_make_the_bed_better(others) -> None:
+def test_soundings_of_others_make_the_bed_better(others):
     tiny, ours = others
     data = read_table(ours / "bathymetry/observations.parquet", OBSERVATIONS)[0]
     told = pd.read_csv(tiny.parents[1] / "files_of_others/others.csv")
@@ -135,7 +134,7 @@ def test_soundings_of_others_make_the_bed_better(others) -> None:
     assert np.sqrt(np.nanmean(after**2)) < 0.8 * np.sqrt(np.nanmean(before**2))
 
 
-def test_the_reference_bed_judges_the_bed(others) -> None:
+def test_the_reference_bed_judges_the_bed(others):
     tiny, ours = others
     found = json.loads((ours / "bathymetry/validation.json").read_text())["reference"]["multibeam.tif"]
     errors = errors_m(ours, tiny)
@@ -148,7 +147,7 @@ def test_the_reference_bed_judges_the_bed(others) -> None:
     assert sum(part["n"] for part in found["classes"].values()) == found["n"]
 
 
-def test_the_cloud_from_the_air_is_fitted_and_joined(others) -> None:
+def test_the_cloud_from_the_air_is_fitted_and_joined(others):
     tiny, ours = others
     true = json.loads((tiny.parents[1] / "files_of_others/air.json").read_text())["shift_m"]
     fit = json.loads((ours / "fusion/fit.json").read_text())
@@ -164,7 +163,7 @@ def test_the_cloud_from_the_air_is_fitted_and_joined(others) -> None:
     assert np.nanmin(model["sigma"][of_air]) > 0.5 * sigma[2]
 
 
-def test_the_map_shows_the_cloud_from_the_air(others) -> None:
+def test_the_map_shows_the_cloud_from_the_air(others):
     """P1 Fig. 3 and 6: lidar, soundings, bed coloured by depth and the drone's cloud on one map."""
     tiny, ours = others
     campaign = yaml.safe_load((tiny.parents[1] / "config/campaigns/tiny.yaml").read_text())["campaign"]

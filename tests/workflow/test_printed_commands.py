@@ -186,14 +186,7 @@ MADE_FOR: dict[str, tuple[Callable[[Path, Path, Path], None], tuple[str, ...]]] 
 
 
 @pytest.mark.parametrize("command", [name for name in PRINTED if name not in ELSEWHERE])
-def test_a_command_does_what_is_printed(
-    command: str,
-    tiny_house,
-    data_dir: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_a_command_does_what_is_printed(command, tiny_house, data_dir, tmp_path, monkeypatch, capsys):
     make, files = MADE_FOR[command]
     make(tmp_path, tiny_house.root / "results/tiny", data_dir)
     monkeypatch.chdir(tmp_path)
@@ -203,9 +196,7 @@ def test_a_command_does_what_is_printed(
     assert [name for name in files if not (tmp_path / name).stat().st_size] == []
 
 
-def test_the_tutorial_on_real_recordings_is_walked(
-    data_dir: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_tutorial_on_real_recordings_is_walked(data_dir, tmp_path, monkeypatch, capsys):
     """Its commands in an empty folder give the figures of the page; the longer river: by hand."""
     page = (REPOSITORY / "docs/tutorial_real.md").read_text()
     monkeypatch.chdir(tmp_path)

@@ -8,7 +8,6 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -104,7 +103,7 @@ def _dies_at(moment: int, folder: Path) -> None:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="forks a process")
-def test_a_job_killed_at_any_moment_leaves_whole_outputs_or_none(tmp_path: Path) -> None:
+def test_a_job_killed_at_any_moment_leaves_whole_outputs_or_none(tmp_path):
     """In a Python of its own: a fork of this one, with all that other tests have loaded, takes longer."""
     root = Path(__file__).parents[2]
     code = "from tests.workflow import test_staging; test_staging.kill_at_each_moment()"
@@ -156,7 +155,7 @@ def _kill_at_each_moment(tmp_path: Path) -> None:
     assert any(0 < n < 4 for n, *_ in outcomes), "no job died between two renamings"
 
 
-def test_what_libraries_leave_beside_an_output_goes(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_what_libraries_leave_beside_an_output_goes(tmp_path, caplog):
     run_job(several, Job(tmp_path, "old"))
     run_job(several, Job(tmp_path))
     assert caplog.messages.count("not declared as outputs, and removed: deep/cloud.laz.wal") == 2
@@ -169,10 +168,10 @@ def test_what_libraries_leave_beside_an_output_goes(tmp_path: Path, caplog: pyte
     assert record["params"]["folder"] == str(tmp_path / "results")
 
 
-def test_a_job_that_fails_leaves_what_was_there(tmp_path: Path) -> None:
+def test_a_job_that_fails_leaves_what_was_there(tmp_path):
     run_job(several, Job(tmp_path, "old"))
 
-    def fails(*, table: Path) -> None:
+    def fails(*, table):
         table.write_text("half")
         raise InputError("17 bytes", where=table)
 
@@ -182,8 +181,8 @@ def test_a_job_that_fails_leaves_what_was_there(tmp_path: Path) -> None:
     assert left_over(tmp_path) == []
 
 
-def test_an_input_that_changes_meanwhile_is_refused(tmp_path: Path) -> None:
-    def slow(*, number: Path, table: Path, cloud: Path, pictures: Path, version: str, folder: str) -> None:
+def test_an_input_that_changes_meanwhile_is_refused(tmp_path):
+    def slow(*, number, table, cloud, pictures, version, folder):
         several(number=number, table=table, cloud=cloud, pictures=pictures, version=version, folder=folder)
         number.write_text("2100")
 
@@ -193,15 +192,15 @@ def test_an_input_that_changes_meanwhile_is_refused(tmp_path: Path) -> None:
     assert found(tmp_path) == {}
 
 
-def test_a_flipped_byte_in_an_input_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_flipped_byte_in_an_input_is_told(tmp_path, monkeypatch):
     """In a file or in a folder; what Snakemake adds to a folder does not count, nor does a copy elsewhere."""
     monkeypatch.chdir(tmp_path)
 
-    def reads(*, pictures: Path, cloud: Path, joined: Path) -> None:
+    def reads(*, pictures, cloud, joined):
         joined.write_text(cloud.read_text() + (pictures / "1.png").read_text())
 
     class Next(Job):
-        def __init__(self, source: str = "results") -> None:
+        def __init__(self, source="results"):
             super().__init__(Path())
             files = {"pictures": f"{source}/pictures", "cloud": f"{source}/deep/cloud.laz"}
             self.input = InputFiles(fromdict=files)
@@ -229,7 +228,7 @@ def test_a_flipped_byte_in_an_input_is_told(tmp_path: Path, monkeypatch: pytest.
 
 
 @pytest.fixture
-def small_disk(tmp_path: Path) -> Iterator[Path]:
+def small_disk(tmp_path):
     """A disk of one megabyte."""
     folder = tmp_path / "disk"
     folder.mkdir()
@@ -257,7 +256,7 @@ def _fills_in_other_words(*, table: Path) -> None:
 
 
 @pytest.mark.parametrize("writer", [_fills, _fills_in_other_words])
-def test_a_full_disk_is_named(small_disk: Path, writer: Callable[..., None]) -> None:
+def test_a_full_disk_is_named(small_disk, writer):
     run_job(several, Job(small_disk, "old"))
     with pytest.raises(InputError, match=r"no space is left on the disk .*0 MB are free.*Make room"):
         run_job(writer, Job(small_disk))
@@ -267,7 +266,7 @@ def test_a_full_disk_is_named(small_disk: Path, writer: Callable[..., None]) -> 
     assert found(small_disk) == whole("new")
 
 
-def test_results_that_can_only_be_read_are_named(small_disk: Path) -> None:
+def test_results_that_can_only_be_read_are_named(small_disk):
     run_job(several, Job(small_disk, "old"))
     job = Job(small_disk)
     subprocess.run(["mount", "-o", "remount,ro", str(small_disk)], check=True)
@@ -276,7 +275,7 @@ def test_results_that_can_only_be_read_are_named(small_disk: Path) -> None:
     assert found(small_disk) == whole("old")
 
 
-def test_what_a_dead_job_left_goes(tmp_path: Path) -> None:
+def test_what_a_dead_job_left_goes(tmp_path):
     left = tmp_path / "results" / Staging([Path(p) for p in Job(tmp_path).output], "several").name
     left.mkdir(parents=True)
     (left / "table.csv").write_text("half")
@@ -360,7 +359,7 @@ def _ends_well(run: subprocess.Popen[str]) -> None:
     assert run.returncode == 0, said
 
 
-def test_a_killed_run_is_resumed_without_the_marks_of_snakemake(tmp_path: Path) -> None:
+def test_a_killed_run_is_resumed_without_the_marks_of_snakemake(tmp_path):
     """Driver and jobs die at once; the lock that stays is named with its cure; the bytes are the same."""
     whole_run, killed = _workflow(tmp_path / "whole"), _workflow(tmp_path / "killed")
     reference = _snakemake(whole_run)
@@ -388,7 +387,7 @@ def test_a_killed_run_is_resumed_without_the_marks_of_snakemake(tmp_path: Path) 
 
 
 @pytest.mark.skipif(shutil.which("rsync") is None, reason="needs rsync")
-def test_jobs_in_node_local_scratch_give_the_same_results(repository: Path, tmp_path: Path) -> None:
+def test_jobs_in_node_local_scratch_give_the_same_results(repository, tmp_path):
     """Two folders; folders as outputs, params that name places, and provenance come along."""
     pytest.importorskip("snakemake_storage_plugin_fs")
     here, there = _workflow(tmp_path / "here"), _workflow(tmp_path / "there")
