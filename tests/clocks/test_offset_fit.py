@@ -13,7 +13,6 @@ from thalweg.clocks import OffsetOptions
 from thalweg.clocks.camera_offset import (
     NAMES,
     TURN_NAMES,
-    Component,
     OffsetFit,
     OffsetModel,
     OffsetState,
@@ -343,13 +342,3 @@ def test_an_antenna_that_nothing_shows_is_refused():
     model.J[:, 3] = 0.0
     with pytest.raises(GeometryError, match="do not determine dy"):
         fitted(model, OPTIONS["held jitter"])
-
-
-def test_the_first_guess_of_the_jitter_makes_no_difference():
-    """`jitter` of a fit is that of its last turn, for the effects as for the covariance."""
-    model = Linear(False)
-    found = fitted(model, OffsetOptions())
-    assert isinstance(found.jitter, Component)
-    held = fitted(model, OffsetOptions(jitter_s=found.jitter.sigma))
-    np.testing.assert_allclose(found.effects_s, held.effects_s, rtol=1e-3, atol=1e-7)
-    np.testing.assert_allclose(found.tests, held.tests, rtol=1e-3)

@@ -8,7 +8,6 @@ import pytest
 
 from thalweg.clocks import CameraPoses, InsAttitude, Track
 from thalweg.clocks.camera_offset import (
-    Component,
     OffsetModel,
     OffsetState,
     _apart,
@@ -240,12 +239,6 @@ def test_a_small_change_of_the_unknowns():
     short = state.moved(np.array([0.1, 0.2, 0.3, 0.4, 0.5]))
     assert (short.R_ics_ccs == state.R_ics_ccs).all()
     assert short.slow.tolist() == [5.0]
-
-
-def test_sigma_of_a_jitter_by_hand():
-    """A variance of 4 with a sigma of 1: 1 / (2 x 2); of 1 with 3: the upper end is 2, one more."""
-    assert Component(variance=4.0, sigma_variance=1.0).sigma_of_sigma == 0.25
-    assert Component(variance=1.0, sigma_variance=3.0).sigma_of_sigma == 1.0
 
 
 def test_a_gap_at_either_end_of_the_attitudes_is_not_covered():

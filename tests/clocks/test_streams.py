@@ -184,11 +184,6 @@ def test_lost_records_and_lost_bytes_are_counted_apart(losses, records, lost_byt
     assert (row["lost_records"], row["lost_bytes"]) == (records, lost_bytes)
 
 
-def test_rows_follow_the_order_of_the_reports():
-    names = ["positions", "lidar", "ins"]
-    assert stream_table([report(n, 0.0, 1.0) for n in names])["stream"].tolist() == names
-
-
 def test_the_common_span_is_the_overlap_of_the_needed_streams():
     reports = [
         report("lidar", 2.0, 27.0),

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from thalweg.core import PARAMETERS, Camera, GeometryError
+from thalweg.core import Camera, GeometryError
 
 BROWN = Camera(
     model="perspective",
@@ -141,11 +141,6 @@ def test_wrong_cameras_are_refused(change, answer):
     given = {"model": "perspective", "size_px": (100, 80), "parameters": np.ones(9), **change}
     with pytest.raises(GeometryError, match=answer):
         Camera(**given)
-
-
-def test_names_belong_to_the_parameters():
-    for camera in CAMERAS:
-        assert len(PARAMETERS[camera.model]) == len(camera.parameters) == len(camera.parameter_names)
 
 
 def test_a_smaller_picture_of_the_same_lens():

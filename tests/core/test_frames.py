@@ -73,12 +73,6 @@ def test_attitude_round_trip(roll, pitch, heading):
     assert 0 <= float(h) < 2 * np.pi or float(h) == pytest.approx(2 * np.pi)
 
 
-def test_attitudes_broadcast():
-    R = rotation_enu_body(np.zeros((4, 1)), 0.1, np.linspace(0, 1, 3))
-    assert R.shape == (4, 3, 3, 3)
-    np.testing.assert_allclose(np.linalg.det(R), 1.0)
-
-
 def test_transform_has_its_parts():
     T = transform(rotation_z(0.3), [1, 2, 3])
     np.testing.assert_allclose(T @ [1, 0, 0, 1], [np.cos(0.3) + 1, np.sin(0.3) + 2, 3, 1])
@@ -142,14 +136,6 @@ def test_map_export_refuses_what_is_no_map(code):
         FRAME.to_map(np.zeros((1, 3)), CRS(code))
 
 
-@pytest.mark.parametrize(("lat", "lon"), [(0.0, 105.0), (51.0, 60.0), (51.0, -75.0), (-33.0, 15.0)])
-def test_map_export_refuses_a_grid_of_another_place(lat, lon):
-    """PROJ alone gives plausible nonsense for most of these places."""
-    nowhere = LocalFrame(lat_deg=lat, lon_deg=lon, h_ell_m=0.0)
-    with pytest.raises(GeometryError, match="1 of 1 points are outside the area of use"):
-        nowhere.to_map(np.zeros((1, 3)), CRS(25833))
-
-
 @pytest.mark.parametrize("code", [31468, 5668, 2398, 27700, 29903])
 def test_map_export_refuses_another_datum(code):
     """Bessel, Krassowsky (Gauss-Krueger) and Airy (British, Irish): without a datum shift some 180 m away."""
@@ -160,11 +146,6 @@ def test_map_export_refuses_another_datum(code):
 def test_map_export_refuses_a_web_map():
     with pytest.raises(GeometryError, match=r"stretches distances by \+5\d\.\d %"):
         FRAME.to_map(np.zeros((1, 3)), CRS(3857))
-
-
-def test_a_survey_may_reach_over_the_border_of_its_zone():
-    beside = LocalFrame(lat_deg=51.0, lon_deg=18.5, h_ell_m=0.0)  # zone 33 ends at 18 degrees
-    assert beside.to_map(np.zeros((1, 3)), CRS(25833)).shape == (1, 3)
 
 
 @pytest.mark.parametrize(
@@ -179,6 +160,10 @@ def test_a_survey_may_reach_over_the_border_of_its_zone():
         (51.0, 8.9, False),
         (51.0, 20.9, True),
         (51.0, 21.1, False),
+        # PROJ alone gives plausible nonsense for most of these places
+        (0.0, 105.0, False),
+        (51.0, -75.0, False),
+        (-33.0, 15.0, False),
     ],
 )
 def test_the_area_of_a_grid_ends_three_degrees_beyond_its_border(lat, lon, inside):

@@ -37,13 +37,6 @@ def test_a_closed_body_has_no_border():
     }
 
 
-def test_an_edge_of_three_faces_is_a_border():
-    mesh = mesh_of(
-        [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1]], [[0, 1, 2], [1, 0, 3], [0, 1, 4]]
-    )
-    assert (mesh.neighbours() == NO_FACE).all()
-
-
 def test_neighbours_are_those_of_a_dictionary_of_edges(rng):
     """Random faces with many edges of one, two and more faces; vertex 0 is the hub of most."""
     faces = rng.integers(0, 30, (400, 3))

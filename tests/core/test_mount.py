@@ -42,24 +42,6 @@ def test_a_correlation_belongs_to_the_order_of_the_section():
     assert np.count_nonzero(mount.cov) == 8
 
 
-def test_a_rigid_transform_counts_the_shift_first():
-    correlation = np.eye(6)
-    correlation[0, 4] = correlation[4, 0] = -0.25  # omega and y
-    rigid = Rigid.from_mount(SECTION | {"sigma_axes": "ics", "correlation": correlation})
-    np.testing.assert_allclose(rigid.sigma_shift_m, [0.001, 0.002, 0.003])
-    np.testing.assert_allclose(np.rad2deg(rigid.sigma_rotation_rad), [0.01, 0.02, 0.04])
-    assert rigid.cov[1, 3] == pytest.approx(-0.25 * 0.002 * np.deg2rad(0.01))
-    np.testing.assert_allclose(rigid.shift_m, [-0.35, 0.02, -0.25])
-
-
-@pytest.mark.parametrize(
-    "cov", [np.eye(3), np.eye(6) + 0.1 * np.eye(6, k=1), np.diag([1.0, 1, 1, 1, 1, -1e-3])]
-)
-def test_what_is_no_covariance_is_refused(cov):
-    with pytest.raises(GeometryError, match="no covariance matrix"):
-        Rigid(R=np.eye(3), shift_m=np.zeros(3), cov=cov)
-
-
 def test_no_rotation_is_refused_for_its_rounding(rng):
     """The determinant of every other product of three rotations is a few 1e-16 below one."""
     for angles in rng.uniform(-np.pi, np.pi, (50, 3)):

@@ -160,16 +160,3 @@ def test_rows_and_columns_may_run_either_way(tmp_path, east, north, code):
     np.testing.assert_allclose(found.corner_m, np.array([400_000.0, 900_000.0]) * unit, rtol=1e-12)
     np.testing.assert_allclose(found.cell_m, np.array([2.0, 3.0]) * unit, rtol=1e-9)
     np.testing.assert_array_equal(found.height_m, [[11.5, 12.5, 13.5], [21.5, 22.5, 23.5]])
-
-
-@pytest.mark.filterwarnings("ignore::PendingDeprecationWarning")
-def test_heights_have_the_scale_and_offset_that_the_file_states(tmp_path):
-    path = tmp_path / "a.tif"
-    kind = {"driver": "GTiff", "height": 2, "width": 2, "count": 1, "dtype": "int16", "nodata": -32768}
-    place = rasterio.Affine(1.0, 0.0, 400_000.0, 0.0, -1.0, 5_600_000.0)
-    with rasterio.open(path, "w", crs=UTM, transform=place, **kind) as file:
-        file.write(np.array([[1000, 2000], [-32768, 1]], np.int16), 1)
-        file.scales, file.offsets, file.units = (0.01,), (150.0,), ("ft",)
-    found = read_dsm(path)
-    np.testing.assert_allclose(found.height_m, np.array([[160.0, 170.0], [np.nan, 150.01]]) * 0.3048)
-    assert any("times 0.01 plus 150" in note for note in found.notes)

@@ -103,19 +103,6 @@ def test_a_matrix_without_covariance_is_taken_as_certain():
     np.testing.assert_array_equal(Rigid.from_opk([0.0, 0.0, 0.0], np.zeros(3)).cov, np.zeros((6, 6)))
 
 
-def test_the_first_of_two_transforms_turns_the_shift_of_the_second():
-    """A turn about z with a sigma of 1 mrad moves what is 2 m ahead by 2 mm to the side."""
-    first = Rigid(R=np.eye(3), shift_m=np.zeros(3), cov=np.diag([0.0, 0.0, 0.0, 0.0, 0.0, 1e-6]))
-    both = first @ Rigid(R=np.eye(3), shift_m=np.array([2.0, 0.0, 0.0]))
-    np.testing.assert_allclose(both.sigma_shift_m, [0.0, 2e-3, 0.0])
-    assert both.cov[1, 5] == pytest.approx(2e-6)
-
-
-@pytest.mark.parametrize("phi", [np.pi / 2, -np.pi / 2])
-def test_at_phi_of_ninety_degrees_all_is_kappa(phi):
-    np.testing.assert_allclose(opk_of(rotation_opk(0.0, phi, 0.3)), [0.0, phi, 0.3], atol=1e-12)
-
-
 @pytest.mark.parametrize("omega", [-2.8, -0.4, 0.3, 2.1])
 @pytest.mark.parametrize("phi", [-1.5, -0.6, 0.2, 1.5])
 @pytest.mark.parametrize("kappa", [-3.0, -0.7, 0.9, 2.5])

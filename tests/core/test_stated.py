@@ -9,7 +9,7 @@ import rasterio
 from pyproj import CRS, Transformer
 from rasterio import Affine
 
-from thalweg.core import ArrayF, Dsm, InputError, UnsupportedError, read_dsm
+from thalweg.core import ArrayF, InputError, UnsupportedError, read_dsm
 from thalweg.core.values import crs_of_geokeys, in_metres, onto_map, same_heights
 
 US_FOOT_M = 1200 / 3937
@@ -152,27 +152,6 @@ def test_heights_become_metres_as_the_band_states(tmp_path, band, told, note):
     dsm = read_dsm(a_raster(tmp_path / "a.tif", band, **told))
     assert dsm.height_m == pytest.approx(relief(), abs=0.006 if band.dtype.kind in "iu" else 1e-4)
     assert any(note in text for text in dsm.notes)
-
-
-def test_a_map_in_feet_becomes_one_in_metres(tmp_path):
-    there = Affine(2.0, 0.0, 1_000_000.0, 0.0, -2.0, 200_000.0)
-    dsm = read_dsm(a_raster(tmp_path / "a.tif", FEET, crs="EPSG:2263", transform=there, units=["ft"]))
-    assert dsm.corner_m == pytest.approx(np.array([1e6, 2e5]) * US_FOOT_M, abs=1e-6)
-    assert dsm.cell_m == pytest.approx(np.full(2, 2 * US_FOOT_M))
-    assert dsm.height_m == pytest.approx(relief(), abs=1e-4)  # other feet than those of the map
-    assert dsm.frame.equals(CRS(32118))
-
-
-@pytest.mark.parametrize("down", [1, -1])
-@pytest.mark.parametrize("right", [1, -1])
-def test_rows_and_columns_run_either_way(tmp_path, down, right):
-    place = Affine(
-        2.0 * right, 0.0, CORNER[0] + (0 if right == 1 else 60.0),
-        0.0, -2.0 * down, CORNER[1] - (0 if down == 1 else 40.0),
-    )  # fmt: skip
-    dsm: Dsm = read_dsm(a_raster(tmp_path / "a.tif", relief()[::down, ::right], transform=place))
-    assert dsm.corner_m.tolist() == list(CORNER)
-    assert dsm.height_m == pytest.approx(relief())
 
 
 @pytest.mark.parametrize(

@@ -166,13 +166,6 @@ def test_poses_between_nodes_by_hand():
     np.testing.assert_allclose(np.rad2deg(heading), [0.0, 1.75, 7.0, 12.25, 14.0], atol=0.01)
 
 
-def test_the_span_is_that_of_the_valid_nodes():
-    whole = turning(6, 1.0)
-    assert whole.span() == (3.0e8, 3.0e8 + 5)
-    some = replace(whole, valid=np.array([False, True, True, False, True, False]))
-    assert some.span() == (3.0e8 + 1, 3.0e8 + 4)
-
-
 def test_quaternions_of_neighbours_are_on_the_same_side():
     """Minus a quaternion is the same rotation; the kernels blend neighbours and need them of one sign."""
     whole = turning(6, 1.0)
@@ -204,10 +197,3 @@ def test_between_an_invalid_node_and_a_valid_one_there_is_no_pose():
         order[[k, k + 1]] = order[[k + 1, k]]
         with pytest.raises(Exception, match=r"not increasing|increas"):
             replace(trajectory, t_gps_s=t[order])
-
-
-def test_quaternions_of_either_sign_are_the_same_turn():
-    trajectory = turning(5)
-    flipped = trajectory.quaternion_wcs_ics * np.array([1, -1, 1, 1, -1])[:, None]
-    again = replace(trajectory, quaternion_wcs_ics=flipped)
-    np.testing.assert_allclose(again.quaternion_wcs_ics, trajectory.quaternion_wcs_ics)

@@ -10,7 +10,6 @@ import pytest
 
 from tests.ingest.writers import anpp, files_of
 from thalweg.core import gps_from_unix, read_table, write_table
-from thalweg.core.timescales import LeapSecondWarning
 from thalweg.ingest import DEPTH, GNSS_POSITION, INS_STATE, PoseLog
 from thalweg.ingest.anpp import read_anpp
 
@@ -214,13 +213,6 @@ def test_an_overlap_that_begins_between_state_and_depth(tmp_path):
     assert log.report.clean
 
 
-def test_a_packet_split_between_files_is_whole(tmp_path):
-    data = b"".join(state(k * 100_000) for k in range(10))
-    log = read(tmp_path, data[:333], data[333:])
-    assert len(log.states) == 10
-    assert log.report.clean
-
-
 def test_positions_that_cannot_be_are_blanked(tmp_path):
     wild = struct.pack("<HHII3d16f", 0, UTC_FIXED, T0, 100_000, 2.0, 1e308, np.inf, *[0.0] * 16)
     log = read(tmp_path, state(0) + anpp(20, wild) + gnss(0))
@@ -243,11 +235,6 @@ def test_device_and_alarms(tmp_path):
     assert log.report.model == "Spatial Dual, device id 9999"
     assert any("low voltage alarm in 1 of 1" in note for note in log.report.notes)
     assert any("2 different devices" in note for note in log.report.notes)
-
-
-def test_stamps_behind_the_leap_table_warn(tmp_path):
-    with pytest.warns(LeapSecondWarning):
-        read(tmp_path, state(15 * 365 * 86_400 * 1_000_000))
 
 
 def small_log() -> bytes:

@@ -15,7 +15,7 @@ from advanced_navigation.anpp_packets.an_packet_53 import ExternalDepthPacket
 from advanced_navigation.anpp_packets.an_packet_protocol import ANDecoder, ANPacket
 
 from thalweg.ingest.anpp import packets as ap, read_anpp
-from thalweg.ingest.anpp.packets import build_clock, collect
+from thalweg.ingest.anpp.packets import collect
 
 pytestmark = pytest.mark.real
 
@@ -74,15 +74,6 @@ def test_time_and_gaps_of_the_provenance(log):
     assert report.gaps[0].t_start_s == t[14]
     assert report.counts["time_steps_shorter_than_half"] == 1
     assert report.rates_hz["states"] == pytest.approx(20.0, rel=1e-4)  # stamps are whole microseconds
-
-
-def test_status_and_device_of_the_provenance(log):
-    assert (log.states["system_status"] == 0x4000).all()
-    assert (log.states["filter_status"] == 0x1201).all()
-    assert (log.states["fix"] == "none").all()
-    assert log.report.model == "Boreas D90"
-    assert log.report.details["firmware"] == 1511
-    assert any("GNSS antenna disconnected in 283 of 283" in note for note in log.report.notes)
 
 
 def test_every_state_equals_the_sdk(log, sdk):
@@ -147,19 +138,3 @@ def test_single_packets_equal_the_sdk(path, log, sdk):
     ]
     (depth,) = decoded(sdk, ExternalDepthPacket)
     assert log.depths["depth_m"].tolist() == [depth.depth]
-
-
-def test_calendar_and_unix_packets_agree_with_the_states(path):
-    clock = build_clock(collect([path]))
-    # 2023-07-11T15:03:06.469842Z and .534924Z, as the PROVENANCE prints them
-    stamps = set(np.round(clock.t_device_s * 1e6).astype(np.int64).tolist())
-    assert 1689087786469842 in stamps
-    assert 1689087786534924 in stamps
-    assert (np.diff(clock.t_device_s) >= 0).all()
-
-
-def test_the_log_twice_is_the_log_once(path, log):
-    twice = read_anpp([path, path])
-    assert len(twice.states) == 283
-    assert twice.report.counts["repeated_packets_dropped"] >= 283
-    np.testing.assert_array_equal(twice.states["t_device_s"], log.states["t_device_s"])

@@ -2,13 +2,10 @@
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
-from thalweg.core import gps_from_unix
-from thalweg.core.timescales import ADJUSTED_OFFSET_S, DAY_S
 from thalweg.ingest.nmea.reader import degrees
-from thalweg.ingest.ppk.rinex import RinexScan, _day_second, _year
+from thalweg.ingest.ppk.rinex import _day_second, _year
 from thalweg.ingest.tracks.rtklib_pos import Layout, _degrees, _row, layout_from_header, names_columns
 
 
@@ -44,25 +41,6 @@ def test_days_and_seconds_of_epochs():
         with pytest.raises(ValueError):
             _day_second(*wrong)
     assert [_year(n) for n in (79, 80, 99, 0)] == [2079, 1980, 1999, 2000]
-
-
-def test_navigation_data_has_the_time_scale_of_its_system():
-    """GLONASS is in UTC, BeiDou 14 s behind GPS."""
-    scan = RinexScan.__new__(RinexScan)
-    days = 16_000.0
-    for name, value in (
-        ("kind", "navigation"), ("days", [days] * 3), ("seconds", [100.0] * 3), ("letters", ["G", "R", "C"]),
-        ("time_system", "GPS"),
-    ):  # fmt: skip
-        object.__setattr__(scan, name, value)
-    t = days * DAY_S + 100.0 - ADJUSTED_OFFSET_S
-    utc = float(gps_from_unix(days * DAY_S + 315_964_800.0 + 100.0))
-    np.testing.assert_allclose(scan.t_gps_s, [t, utc, t + 14.0])
-    assert utc == pytest.approx(t + 18.0)
-    for system, shift in (("GPS", 0.0), ("GAL", 0.0), ("GLO", 18.0), ("UTC", 18.0), ("BDT", 14.0)):
-        for name, value in (("kind", "observation"), ("letters", []), ("time_system", system)):
-            object.__setattr__(scan, name, value)
-        np.testing.assert_allclose(scan.t_gps_s, t + shift)
 
 
 # ---------------------------------------------------------------- RTKLIB

@@ -1,6 +1,5 @@
 """The limits under which damaged inputs are read do bite."""
 
-import itertools
 import signal
 import sys
 import time
@@ -8,9 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-
-resource = pytest.importorskip("resource", reason="the limits are for systems with signals and limits")
-BEFORE = resource.getrlimit(resource.RLIMIT_AS)
 
 
 def hang(fuzz: Any, seen: list[bytes]) -> None:
@@ -34,10 +30,6 @@ def test_a_greedy_reader_fails(fuzz):
         np.empty(3 << 30, dtype=np.uint8)
 
 
-def test_the_cap_of_memory_is_taken_off():
-    assert resource.getrlimit(resource.RLIMIT_AS) == BEFORE
-
-
 def test_a_reader_that_refuses_all_fails(fuzz):
     n = sum(1 for _ in fuzz.inputs(b"abc", b"xyz"))
     assert n == fuzz.count
@@ -50,24 +42,3 @@ def test_a_reader_that_reports_nothing_fails(fuzz):
         fuzz.was_read()
     with pytest.raises(AssertionError, match=r"0 of \d+ inputs were refused or reported"):
         fuzz.check(read=0.1, troubled=0.1)
-
-
-def test_a_loop_that_ends_early_fails(fuzz):
-    for _ in fuzz.inputs(b"abc"):
-        fuzz.was_read(reported=True)
-        break
-    fuzz.n_read = fuzz.count
-    with pytest.raises(AssertionError):
-        fuzz.check(read=0.1, troubled=0.1)
-
-
-def test_damage_is_of_every_kind_and_the_same_each_time(fuzz):
-    source = bytes(range(200))
-    found = list(itertools.islice(fuzz.inputs(source, most=2), 300))  # 200 bytes hold no 10,000 damages
-    sizes = np.array([len(data) for data in found])
-    assert min(sizes) >= 1
-    for some in (sizes < 200, sizes == 200, sizes > 200):
-        assert np.mean(some) > 0.05
-    assert len(set(found)) > 0.9 * len(found)
-    again = type(fuzz)(np.random.default_rng(5), 20), type(fuzz)(np.random.default_rng(5), 20)
-    assert list(again[0].inputs(source)) == list(again[1].inputs(source))

@@ -170,11 +170,6 @@ def test_fast_pings_are_spread_between_the_times(tmp_path, silent):
     assert log.report.details["sigma_depth_time_s"] == pytest.approx(0.1 / np.sqrt(12), abs=1e-4)
 
 
-def test_pings_behind_the_last_time_do_not_share_it(tmp_path):
-    text = "".join(rmc(START + i) + nmea(DEPTH) for i in range(20)) + 5 * nmea(DEPTH)
-    np.testing.assert_allclose(since_start(read(tmp_path, text)), np.arange(25), atol=1e-6)
-
-
 def test_stamps_of_the_logger_time_the_pings(tmp_path):
     """Pings at 0.03, 0.13, 0.63 s behind each fix; the logger's clock is an hour ahead."""
     stamp = DAY + START + 3600

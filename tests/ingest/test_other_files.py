@@ -8,7 +8,6 @@ import rasterio
 
 from thalweg.calibration import read_camera
 from thalweg.cli import main
-from thalweg.core import UnsupportedError
 from thalweg.ingest.registry import describe, recognise
 
 LENS = (
@@ -62,30 +61,6 @@ def test_a_surface_model_is_no_photograph(tmp_path):
     assert "4 x 3 cells of 0.5 x 0.5, 1 band" in text
     assert "EPSG:25833" in text
     assert "-9999" in text
-
-
-def test_a_lens_of_metashape_is_ours(tmp_path):
-    path = tmp_path / "lens.xml"
-    path.write_text(LENS.format(""))
-    camera = read_camera(path)
-    # Metashape counts the principal point from the middle; its p1 and p2 are OpenCV's p2 and p1
-    found = dict(zip(camera.parameter_names, camera.parameters, strict=True))
-    assert camera.size_px == (6000, 4000)
-    assert (found["fx"], found["fy"], found["cx"], found["cy"]) == (6600.0, 6600.0, 3010.0, 1950.0)
-    assert (found["k1"], found["k2"], found["p1"], found["p2"]) == (-0.09, 0.08, -0.0009, 0.0002)
-    # by hand, equations of the manual: x = 0.1, y = 0.2, r2 = 0.05
-    radial = 1 - 0.09 * 0.05 + 0.08 * 0.05**2
-    u = 0.1 * radial + 0.0002 * (0.05 + 2 * 0.01) + 2 * -0.0009 * 0.02
-    v = 0.2 * radial - 0.0009 * (0.05 + 2 * 0.04) + 2 * 0.0002 * 0.02
-    expected = [3000 + 10 + 6600 * u, 2000 - 50 + 6600 * v]
-    assert camera.project(np.array([[0.1, 0.2, 1.0]]))[0] == pytest.approx(expected, abs=1e-9)
-
-
-def test_terms_that_our_lens_has_not_are_named(tmp_path):
-    path = tmp_path / "lens.xml"
-    path.write_text(LENS.format("  <b2>0.5</b2>\n"))
-    with pytest.raises(UnsupportedError, match="b2"):
-        read_camera(path)
 
 
 def test_a_lens_of_metashape_becomes_a_calibration(tmp_path):

@@ -3,28 +3,9 @@
 import struct
 
 import numpy as np
-import pandas as pd
 import pytest
 
 from thalweg.ingest.pcap.capture import FOUND, find_pcapng
-from thalweg.ingest.ppk.exports import _pieces
-
-
-def test_each_epoch_of_a_track_is_on_the_map():
-    """Four fixed, three float, two single ones: lines that meet, with longitude, latitude, height."""
-    table = pd.DataFrame(
-        {
-            "fix": ["fixed"] * 4 + ["float"] * 3 + ["single"] * 2,
-            "lon_deg": 13.0 + np.arange(9) / 100,
-            "lat_deg": 51.0 + np.arange(9) / 1000,
-            "h_ell_m": 100.0 + np.arange(9),
-        }
-    )
-    places = [[13.0 + k / 100, 51.0 + k / 1000, 100.0 + k] for k in range(9)]
-    found = _pieces(table)
-    assert [fix for fix, _ in found] == ["fixed", "float", "other"]
-    for (_, line), (a, b) in zip(found, ((0, 4), (3, 7), (6, 9)), strict=True):
-        np.testing.assert_allclose(line, places[a:b], atol=1e-9)
 
 
 @pytest.mark.parametrize("big", [False, True])

@@ -1,7 +1,5 @@
 """Options of a PPK run: table of mistakes, sections of a campaign file, words for the engine."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 
@@ -51,11 +49,6 @@ def test_all_mistakes_at_once():
     assert all(word in str(caught.value) for word in ("direction", "max_age_s", "base position"))
 
 
-def test_frozen():
-    with pytest.raises(dataclasses.FrozenInstanceError):
-        PpkOptions(base_ecef_m=BASE).dynamics = True
-
-
 def test_geodetic_base_is_the_earth_centred_one():
     a = PpkOptions(base_llh=LLH).explicit_base_ecef_m
     assert a == pytest.approx(BASE, abs=2e-4)  # nine decimals of a degree are 0.1 mm
@@ -72,12 +65,6 @@ def test_sections_of_a_campaign():
     assert PpkOptions.from_sections({}, {"base_llh": llh}) == PpkOptions(base_llh=LLH)
     with pytest.raises(ConfigError, match="unknown PPK options: elevation"):
         PpkOptions.from_sections({"elevation": 3}, {"base_from": "rinex_header"})
-
-
-def test_section_of_the_config_has_the_same_keys_and_defaults():
-    navigation = pytest.importorskip("thalweg.settings.sections.navigation")
-    section = navigation.Ppk().model_dump()
-    assert PpkOptions.from_sections(section, {"base_from": "sbp"}) == PpkOptions(base_source="from_sbp")
 
 
 def test_engine_words():

@@ -5,16 +5,12 @@ import pytest
 from pyproj import CRS
 
 from thalweg.bathymetry import read_soundings
-from thalweg.core import InputError, gps_from_unix
+from thalweg.core import InputError
 from thalweg.deformation import Comparison
 from thalweg.deformation.foreign import compare_clouds
 from thalweg.ingest.clouds import read_cloud
-from thalweg.ingest.nmea import read_nmea
-from thalweg.ingest.registry import describe
 
 pytestmark = pytest.mark.real
-TEN_O_CLOCK = gps_from_unix(1_718_186_400.0)
-"""2024-06-12T10:00:00Z."""
 
 
 @pytest.fixture
@@ -90,43 +86,3 @@ def test_times_of_clouds_that_are_none(reports, name, words):
     cloud = read_cloud(reports / "las_times_that_are_none" / name)
     assert cloud.t_gps_s is None
     assert any(words in note for note in cloud.report.notes)
-
-
-def test_a_receiver_that_starts_cold(reports):
-    log = read_nmea([reports / "nmea_cold_start_1980" / "log.nmea"])
-    assert log.positions["t_gps_s"].min() == TEN_O_CLOCK
-    assert log.depths["t_gps_s"].isna().sum() == log.report.losses["depths_without_time"] == 20
-
-
-def test_depths_below_the_keel_are_named(reports):
-    report = describe(reports / "nmea_depth_below_keel_only" / "log.nmea")
-    assert report.counts["depths"] == 0
-    assert any("(DBK) are not read" in note for note in report.notes)
-
-
-def test_ten_pings_a_second(reports):
-    """The bed falls by 2 % of the way at 3 m/s from 3.00 m on: 0.06 m a second."""
-    log = read_nmea([reports / "nmea_fast_pings" / "log.nmea"])
-    depths = log.depths
-    t = depths["t_gps_s"].to_numpy() - TEN_O_CLOCK
-    late_m = 3.0 * (t - (depths["depth_m"].to_numpy() - 3.0) / 0.06)
-    assert len(np.unique(t)) == 1200
-    assert abs(late_m.mean()) < 0.15
-
-
-def test_gns_instead_of_gga(reports):
-    first = read_nmea([reports / "nmea_gns_only" / "log.nmea"]).positions.iloc[0]
-    assert first["h_ell_m"] == pytest.approx(155.0)
-    assert (first["fix"], first["n_sats"]) == ("fixed", 12)
-
-
-def test_of_two_receivers_the_better_one(reports):
-    log = read_nmea([reports / "nmea_two_receivers" / "log.nmea"])
-    assert log.positions["lat_deg"].to_numpy() == pytest.approx(51.05, abs=1e-9)
-    assert any("AI" in note and "4.0 m" in note for note in log.report.notes)
-
-
-def test_a_week_counter_that_rolled_over(reports):
-    notes = " ".join(read_nmea([reports / "nmea_week_rollover" / "log.nmea"]).report.notes)
-    assert "1024 weeks" in notes
-    assert "2024-06-12" in notes

@@ -121,16 +121,6 @@ def test_all_variants_of_one_solution_agree(variants, name):
     assert np.all(np.concatenate(difference) <= bound)
 
 
-def test_covariance_signs_and_order(tmp_path):
-    row = read_pos([write(tmp_path / "a.pos", HEAD + LINE)]).positions.iloc[0]
-    assert (row["sigma_north_m"], row["sigma_east_m"], row["sigma_up_m"]) == (0.003, 0.002, 0.006)
-    # sdne, sdeu, sdun of the line: signed roots
-    assert row["cov_en_m2"] == pytest.approx(-(0.001**2))
-    assert row["cov_eu_m2"] == pytest.approx(0.0015**2)
-    assert row["cov_nu_m2"] == pytest.approx(-(0.0025**2))
-    assert (row["fix"], row["n_sats"], row["age_s"], row["ratio"]) == ("fixed", 11, 0.4, 12.3)
-
-
 def test_covariance_of_earth_centred_coordinates_is_rotated(tmp_path):
     head = "%  GPST x-ecef y-ecef z-ecef Q ns sdx(m) sdy(m) sdz(m) sdxy(m) sdyz(m) sdzx(m) age(s) ratio\n"
     # On the equator at longitude 90 deg: up is y, east is -x, north is z.

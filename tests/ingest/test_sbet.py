@@ -1,6 +1,5 @@
 """SBET trajectories: conventions against closed forms, week rollover, damaged files."""
 
-import struct
 from pathlib import Path
 
 import numpy as np
@@ -192,11 +191,6 @@ def test_fuzz_sbet(tmp_path, fuzz):
         fuzz.was_read(reported=not log.report.clean)
         assert np.isfinite(log.states["t_gps_s"]).all()
     fuzz.check(read=0.3, troubled=0.5)
-
-
-def test_record_layout_by_struct(tmp_path):
-    raw = struct.pack("<17d", *records(1)[0]) * 1 + struct.pack("<17d", *records(2)[1])
-    assert len(read_sbet([write(tmp_path / "a.out", raw)], WEEK).states) == 2
 
 
 def test_files_that_overlap_are_joined(tmp_path):

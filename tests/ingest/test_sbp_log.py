@@ -8,7 +8,6 @@ import pytest
 
 from tests.ingest.writers import ROVER, files_of, sbp
 from thalweg.core import ecef_of, gps_from_week, rotation_ecef_enu, write_table
-from thalweg.core.timescales import LeapSecondWarning
 from thalweg.ingest import GNSS_POSITION, PositionLog
 from thalweg.ingest.sbp import base_positions, collect, messages as sm, read_sbp
 
@@ -270,12 +269,6 @@ def test_tables_fit_their_kinds(tmp_path):
         write_table(tmp_path / "t.parquet", log.positions, GNSS_POSITION)
         log.report.to_json()
     assert any("no position with a fix" in note for note in log.report.notes)
-
-
-def test_stamps_behind_the_leap_table_warn(tmp_path):
-    date = struct.pack("<BIHBBBBBI", 1, TOW, 2032, 1, 1, 0, 0, 0, 0)
-    with pytest.warns(LeapSecondWarning):
-        read(tmp_path, gps(TOW, week=2712) + sbp(sm.UTC_TIME, date) + llh(TOW))
 
 
 def small_log() -> bytes:

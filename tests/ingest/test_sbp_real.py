@@ -172,39 +172,6 @@ def test_coldstart_figures_of_the_provenance(data_dir):
     assert "base_positions" not in log.report.counts
 
 
-def test_sample_figures_of_the_provenance(data_dir):
-    filtered = read_sbp([data_dir / FILTER])
-    assert sum(counts_of(filtered).values()) == 7056
-    assert (filtered.report.counts["imu_raw"], filtered.report.counts["mag_raw"]) == (1622, 203)
-    assert filtered.report.t_first_s == pytest.approx(float(gps_from_week(2259, 178220.4)), abs=1e-6)
-    assert filtered.report.t_last_s == pytest.approx(float(gps_from_week(2259, 178236.3)), abs=1e-6)
-    assert filtered.report.details["GPS - UTC"] == {"18.000 s": 160}
-    assert filtered.report.clean
-    roundtrip = read_sbp([data_dir / ROUNDTRIP])
-    assert sum(counts_of(roundtrip).values()) == 5000
-    assert len(roundtrip.positions) == 466
-    assert roundtrip.report.t_first_s == pytest.approx(float(gps_from_week(2098, 271497.8)), abs=1e-6)
-    assert roundtrip.report.t_last_s == pytest.approx(float(gps_from_week(2098, 271544.3)), abs=1e-6)
-    short = read_sbp([data_dir / SHORT])
-    assert counts_of(short)["MsgPosLLH 45490"] == 188
-    assert short.report.counts["positions_without_fix_dropped"] == 187
-    assert short.positions["t_gps_s"].tolist() == [
-        pytest.approx(float(gps_from_week(2038, 155149.5)), abs=5e-4)
-    ]
-
-
-def test_stated_accuracy_is_the_longer_axis_of_the_ellipse(data_dir):
-    """Where a receiver sends both, the accuracy of MsgPosLLH is this axis, in whole millimetres."""
-    records = collect([data_dir / FILTER])
-    plain, cov = records.of(sm.POS_LLH).fields, records.of(sm.POS_LLH_COV).fields
-    np.testing.assert_array_equal(plain["tow"], cov["tow"])
-    half_trace = (cov["cov_n_n"] + cov["cov_e_e"]) / 2
-    radius = np.hypot((cov["cov_n_n"] - cov["cov_e_e"]) / 2, cov["cov_n_e"])
-    axis_mm = 1e3 * np.sqrt(half_trace + radius)
-    np.testing.assert_allclose(plain["h_accuracy"], axis_mm, atol=1.0)  # whole millimetres
-    np.testing.assert_allclose(plain["v_accuracy"], 1e3 * np.sqrt(cov["cov_d_d"]), atol=1.0)
-
-
 def test_covariances_are_turned_to_east_north_up(data_dir):
     log, cov = read_sbp([data_dir / FILTER]), collect([data_dir / FILTER]).of(sm.POS_LLH_COV).fields
     p = log.positions
@@ -217,29 +184,3 @@ def test_covariances_are_turned_to_east_north_up(data_dir):
         ("cov_nu_m2", -cov["cov_n_d"].astype(float)),
     ):
         np.testing.assert_allclose(p[name], want, rtol=1e-12)  # products with exact ones and zeros
-
-
-def test_earth_centred_messages_say_the_same(data_dir, tmp_path):
-    """A log without geodetic messages: position and covariance come from MsgPosECEF(Cov)."""
-    data = np.fromfile(data_dir / FILTER, np.uint8)
-    block = find_messages(data)
-    unwanted = [sm.POS_LLH, sm.POS_LLH_COV, sm.POS_LLH_GNSS, sm.POS_LLH_COV_GNSS]
-    keep = ~np.isin(block.kind, unwanted)
-    pieces = [data[o - 6 : o + n + 2] for o, n in zip(block.offset[keep], block.length[keep], strict=True)]
-    path = tmp_path / "ecef.sbp"
-    path.write_bytes(np.concatenate(pieces).tobytes())
-    ecef, llh = read_sbp([path]).positions, read_sbp([data_dir / FILTER]).positions
-    assert len(ecef) == len(llh) == 160
-    np.testing.assert_array_equal(ecef["t_gps_s"], llh["t_gps_s"])
-    # 1e-9 deg is 0.1 mm: both messages come from one double precision solution
-    np.testing.assert_allclose(ecef[["lat_deg", "lon_deg"]], llh[["lat_deg", "lon_deg"]], rtol=0, atol=1e-9)
-    np.testing.assert_allclose(ecef["h_ell_m"], llh["h_ell_m"], rtol=0, atol=1e-4)
-    for name in ("sigma_east_m", "sigma_north_m", "sigma_up_m", "cov_en_m2", "cov_eu_m2", "cov_nu_m2"):
-        # float32 covariances, turned by the receiver in float32 too
-        np.testing.assert_allclose(ecef[name], llh[name], rtol=1e-4, atol=1e-5)
-
-
-def test_the_log_twice_is_the_log_once(data_dir):
-    one, two = read_sbp([data_dir / ROUNDTRIP]), read_sbp([data_dir / ROUNDTRIP] * 2)
-    np.testing.assert_array_equal(one.positions["t_gps_s"], two.positions["t_gps_s"])
-    assert two.report.counts["positions_repeated_dropped"] == 466

@@ -4,9 +4,7 @@ import numpy as np
 import pytest
 
 from tests.ingest import test_velodyne_log as log
-from tests.ingest.writers import nmea
 from thalweg.core import gps_from_unix
-from thalweg.ingest.velodyne.clock import parse_rmc
 from thalweg.ingest.velodyne.reader import scan_lidar
 
 HOUR = 1_700_000_000 // 3600 * 3600
@@ -83,9 +81,3 @@ def test_the_drift_of_a_free_running_sensor_against_the_host(tmp_path):
     # 5 s of stamps in microseconds: 0.1 ppm
     assert details["free_running_drift_ppm"] == pytest.approx(50.0, abs=1.0)
     assert details["free_running_drift_sigma_ppm"] < 1.0
-
-
-def test_an_rmc_of_an_impossible_year_names_no_hour():
-    for year, why in (("23", ""), ("58", "no date"), ("79", "no date")):
-        body = f"GPRMC,101112.00,A,5112.3,N,01304.5,E,0.5,30.0,1411{year},,,A"
-        assert parse_rmc(nmea(body).strip().encode())[1] == why

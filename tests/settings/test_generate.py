@@ -7,7 +7,7 @@ import jsonschema
 import pytest
 
 from thalweg.core import read_yaml
-from thalweg.settings import Campaign, schema_text, write_generated
+from thalweg.settings import Campaign, write_generated
 from thalweg.settings.generate import BEGIN, END, generated, with_manual
 from thalweg.settings.messages import all_paths, node_at, schema
 from thalweg.settings.sections import Ppk
@@ -77,10 +77,6 @@ def test_defaults_hold_every_key_with_its_default(repository):
             assert path in document.lines, ".".join(path)
     expected = Campaign.model_fields["mounts"].default.model_dump(mode="json")
     assert document.data["mounts"] == expected
-
-
-def test_schema_text_ends_with_newline():
-    assert schema_text().endswith("}\n")
 
 
 def test_ppk_section_mirrors_the_options_of_the_engine():

@@ -1,6 +1,5 @@
 """What a campaign file may say wrong about the underwater light-sheet sensor."""
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +8,6 @@ import yaml
 
 from thalweg.core import ConfigError
 from thalweg.settings.load import load_campaign
-from thalweg.settings.sections import LightSheetLogs
 from thalweg_lab.settings import check_sheet_twin
 
 FILES: dict[str, list[str]] = {
@@ -209,25 +207,3 @@ def test_panels_of_the_twin_are_some(tmp_path):
 
 
 # ---------------------------------------------------------------- documents
-
-
-def test_every_key_is_described(repository):
-    schema = json.loads((repository / "config/schema.json").read_text())["$defs"]
-    for name in (
-        "LightSheet",
-        "SheetLines",
-        "SheetCalibration",
-        "LightSheetLogs",
-        "TwinLightSheet",
-        "SheetImage",
-    ):
-        described = schema[name]["properties"]
-        assert described, name
-        assert all(field.get("description") for field in described.values()), name
-    guide = (repository / "docs/light_sheet.md").read_text()
-    assert all(f"{key}: [" in guide for key in (*FILES, "camera_field", "camera_field_images"))
-    assert set(FILES) <= set(LightSheetLogs.model_fields)
-    readme = (repository / "config/README.md").read_text()
-    assert all(f"`light_sheet.{key}`" in readme for key in FILES)
-    for key in ("window_markers", "largest_sigma_px", "jointly"):
-        assert f"{key}`" in readme
