@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
@@ -344,7 +345,7 @@ def test_jitters_make_up_for_an_uncertain_clock():
     assert np.isinf([*none, no_mean]).all()
     # jitters of 10 s about times of 10 ms: the rest of the offset in them is a millionth
     assert mean_unsure == pytest.approx(mean, rel=0.01)
-    np.testing.assert_allclose(unsure, sure, rtol=0.01)
+    assert_allclose(unsure, sure, rtol=0.01)
 
 
 # ---------------------------------------------------------------- its parts
@@ -359,10 +360,8 @@ def test_a_track_reproduces_a_cubic_and_its_slope():
     between = track.at(T0 + ask)
     assert between.inside.all()
     # 1e-6: times of 3e8 s resolve 60 ns
-    np.testing.assert_allclose(
-        between.position_m, np.column_stack([0.3 * ask**3 - ask, ask**2, 1.0 - ask]), atol=1e-6
-    )
-    np.testing.assert_allclose(
+    assert_allclose(between.position_m, np.column_stack([0.3 * ask**3 - ask, ask**2, 1.0 - ask]), atol=1e-6)
+    assert_allclose(
         between.velocity_mps, np.column_stack([0.9 * ask**2 - 1, 2 * ask, -np.ones(3)]), atol=1e-5
     )
     assert not track.at([T0 - 1.0, T0 + 0.05, T0 + 6.0]).inside.any()
@@ -389,7 +388,7 @@ def test_the_covariance_of_a_track_is_that_of_its_errors():
         values = np.array([w @ errors[i] for w, i in zip(weight, between.index, strict=True)])
         found = cov[::3, ::3]
         # 4000 draws: 2.2 % of a variance, four times that
-        np.testing.assert_allclose(np.cov(values), found, atol=0.09 * found.max())
+        assert_allclose(np.cov(values), found, atol=0.09 * found.max())
         assert np.allclose(cov[1::3, ::3], 0.0)
 
 
@@ -468,7 +467,7 @@ def test_derivatives_of_positions_and_attitudes_by_differences():
         above, below = (model.observe(state.moved(sign * dx)).residual for sign in (1.0, -1.0))
         # attitudes differ by thousandths of a radian and their rates are differences of noisy samples
         scale = max(float(np.abs(found[:, k]).max()), 1.0)
-        np.testing.assert_allclose(found[:, k], (above - below) / (2 * step), atol=0.05 * scale)
+        assert_allclose(found[:, k], (above - below) / (2 * step), atol=0.05 * scale)
     # positions know nothing of the turn between INS and camera, attitudes nothing of the lever arm
     assert not found[: 3 * 24, 5:].any()
     assert not found[3 * 24 :, 2:5].any()

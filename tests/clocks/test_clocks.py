@@ -3,6 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.stats import chi2
 
 from thalweg.clocks import TIE_COLUMNS, ClockModel, clock_from_ties, read_number_columns, read_text_columns
@@ -25,12 +26,10 @@ def test_a_clock_and_its_sigma_at_any_time():
     )
     t_gps, sigma = clock.to_gps([T0, T0 + 1000.0])
     # 5 ns: two roundings of a time of 3e8 s in float64 at 60 ns would be 1.2e-7
-    np.testing.assert_allclose(t_gps - T0, [-2.5, 1000.0 - 2.5 + 0.02], atol=1.2e-7)
+    assert_allclose(t_gps - T0, [-2.5, 1000.0 - 2.5 + 0.02], atol=1.2e-7)
     # 4e-6 + 2e-6 + 1e-6 of the clock, 4e-4 of the image
-    np.testing.assert_allclose(sigma, np.sqrt([4.04e-4, 4.07e-4]), rtol=1e-12)
-    np.testing.assert_allclose(
-        clock.to_gps([T0, T0 + 1000.0], jitter=False)[1], np.sqrt([4e-6, 7e-6]), rtol=1e-12
-    )
+    assert_allclose(sigma, np.sqrt([4.04e-4, 4.07e-4]), rtol=1e-12)
+    assert_allclose(clock.to_gps([T0, T0 + 1000.0], jitter=False)[1], np.sqrt([4e-6, 7e-6]), rtol=1e-12)
 
 
 def test_what_is_said_of_a_clock_and_its_images():
@@ -112,7 +111,7 @@ def test_two_ties_give_offset_and_drift_with_consistent_sigmas():
     mean = np.mean(squares, axis=0)
     assert ((mean > low) & (mean < high)).all(), mean
     # behind the ties the drift takes over: sigma 1.5 sqrt(4^2 + 10^2) around the first tie and its like
-    np.testing.assert_allclose(predicted[[0, 2]], sigma, rtol=1e-9)
+    assert_allclose(predicted[[0, 2]], sigma, rtol=1e-9)
     assert predicted[3] > predicted[2] > predicted[1]
 
 
@@ -120,7 +119,7 @@ def test_one_tie_gives_the_offset_only_and_says_so():
     clock = clock_from_ties([T0], [T0 + 2.0], 0.005, sigma_drift=50e-6)
     assert (clock.offset_s, clock.drift) == (2.0, 0.0)
     _, sigma = clock.to_gps([T0, T0 + 3600.0])
-    np.testing.assert_allclose(sigma, [0.005, np.hypot(0.005, 0.18)], rtol=1e-9)
+    assert_allclose(sigma, [0.005, np.hypot(0.005, 0.18)], rtol=1e-9)
     assert any("drift is not determined" in note and "180 ms" in note for note in clock.notes)
 
 
@@ -211,7 +210,7 @@ def test_the_line_through_pulses_by_hand():
     assert clock.jitter_s == pytest.approx(1e-3, rel=1e-6)
     assert clock.sigma_jitter_s == pytest.approx(1e-3 / np.sqrt(8), rel=1e-6)
     # 1 ms^2 / 6; 1 ms^2 over 2 (0.5^2 + 1.5^2 + 2.5^2) s^2
-    np.testing.assert_allclose(clock.cov, np.diag([1e-6 / 6, 1e-6 / 17.5]), rtol=1e-6)
+    assert_allclose(clock.cov, np.diag([1e-6 / 6, 1e-6 / 17.5]), rtol=1e-6)
     assert (clock.reference_s, clock.t_first_s, clock.t_last_s) == (2.5, 0.0, 5.0)
 
 
@@ -276,11 +275,11 @@ def test_images_of_the_end_of_many_pulses_are_found():
 def test_a_trigger_without_delay_is_without_error():
     clock = trigger_clock(t_first_s=T0, t_last_s=T0 + 100)
     assert (clock.offset_s, clock.drift, clock.jitter_s) == (0.0, 0.0, 0.0)
-    np.testing.assert_array_equal(clock.cov, np.zeros((2, 2)))
+    assert_array_equal(clock.cov, np.zeros((2, 2)))
     assert (clock.reference_s, clock.t_first_s, clock.t_last_s) == (T0 + 50, T0, T0 + 100)
     assert "delay" not in clock.source
     late = trigger_clock(t_first_s=T0, t_last_s=T0 + 100, delay_s=0.003, jitter_s=2e-4)
-    np.testing.assert_array_equal(late.cov, np.zeros((2, 2)))
+    assert_array_equal(late.cov, np.zeros((2, 2)))
     assert (late.offset_s, late.jitter_s) == (0.003, 2e-4)
     assert late.source.endswith("with a delay of 3 ms")
 

@@ -7,6 +7,7 @@ import cv2
 import matplotlib
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from PIL import Image, ImageDraw, ImageFont
 from scipy.stats import chi2
 
@@ -100,7 +101,7 @@ def test_fonts_that_are_not_built_in_are_read(tmp_path, font, bright):
     read = table["reason"] == ""
     assert read.mean() > 0.9
     assert table["text"][read].tolist() == [text for text, good in zip(texts, read, strict=True) if good]
-    np.testing.assert_allclose(table["t_display_s"][read], t[read], atol=1e-6)
+    assert_allclose(table["t_display_s"][read], t[read], atol=1e-6)
     assert facts["ink"] == ("bright" if bright else "dark")
 
 
@@ -178,7 +179,7 @@ def test_the_sequence_only_rejects():
     assert np.flatnonzero(wrong).tolist() == [12, 40]
     assert np.flatnonzero(doubtful).tolist() == [50]
     good = np.isfinite(found) & ~wrong & ~doubtful
-    np.testing.assert_allclose(found[good], t[good])
+    assert_allclose(found[good], t[good])
 
 
 # ---------------------------------------------------------------- stability

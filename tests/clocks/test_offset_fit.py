@@ -6,6 +6,7 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
@@ -153,8 +154,8 @@ def test_the_estimate_is_generalised_least_squares(attitude, name):
     x = Q @ (A.T @ np.linalg.inv(V) @ model.y + w)
     sigma = np.sqrt(np.diag(Q))
     # turns end where the offset moves by less than 1e-5 s: the last step is linear
-    np.testing.assert_allclose((model.unknowns(found.state) - x) / sigma, 0.0, atol=1e-3)
-    np.testing.assert_allclose(found.cov / np.outer(sigma, sigma), Q / np.outer(sigma, sigma), atol=1e-6)
+    assert_allclose((model.unknowns(found.state) - x) / sigma, 0.0, atol=1e-3)
+    assert_allclose(found.cov / np.outer(sigma, sigma), Q / np.outer(sigma, sigma), atol=1e-6)
     assert found.converged
     assert (found.jitter.variance, found.jitter.sigma_variance) == (pytest.approx(JITTER_S**2), 0.0)
     assert found.redundancy == len(model.y) + (4 if options.lever_m is not None else 1) - len(x)
@@ -163,7 +164,7 @@ def test_the_estimate_is_generalised_least_squares(attitude, name):
     assert found.sigma0_squared * found.redundancy == pytest.approx(
         r @ np.linalg.solve(V, r) + before, rel=1e-4
     )
-    np.testing.assert_array_equal(found.V0, model.V)
+    assert_array_equal(found.V0, model.V)
     assert found.state.oriented == attitude
     # an image's own error: three or six more unknowns, one for each of its residuals
     P = projector(A, V)
@@ -174,7 +175,7 @@ def test_the_estimate_is_generalised_least_squares(attitude, name):
             (P @ r)[rows] @ np.linalg.solve(own, (P @ r)[rows]), rel=1e-4
         )
     # jitters: the mean of a normal variable given the residuals; times that are late make residuals larger
-    np.testing.assert_allclose(found.effects_s, -(JITTER_S**2) * Z.T @ P @ r, rtol=1e-3, atol=1e-7)
+    assert_allclose(found.effects_s, -(JITTER_S**2) * Z.T @ P @ r, rtol=1e-3, atol=1e-7)
 
 
 @pytest.mark.parametrize("attitude", [False, True])
@@ -194,7 +195,7 @@ def test_the_jitter_is_the_component_of_all_residuals_and_of_what_is_known(attit
     assert found.jitter.sigma_variance == pytest.approx(expected.sigma_variance, rel=1e-3)
     # and the estimate is that of a jitter held at it
     held = fitted(model, replace(options, jitter_s=expected.sigma))
-    np.testing.assert_allclose(found.cov, held.cov, rtol=2e-3, atol=1e-12)
+    assert_allclose(found.cov, held.cov, rtol=2e-3, atol=1e-12)
     assert found.state.offset_s == pytest.approx(held.state.offset_s, abs=1e-5)
 
 
@@ -207,7 +208,7 @@ def test_slopes_that_are_noise_make_the_clock_uncertain(attitude):
     plain, noisy = (fitted(Linear(attitude, noise_mps=v), OPTIONS["held jitter"]) for v in (0.0, 0.25))
     model = Linear(attitude, noise_mps=0.25)
     C = plain.cov
-    np.testing.assert_allclose(noisy.state.offset_s, plain.state.offset_s)
+    assert_allclose(noisy.state.offset_s, plain.state.offset_s)
     noise = block_diag(model.noise, model.rate_noise) if attitude else model.noise
     Z = model.effects
     P = projector(model.J, model.V + JITTER_S**2 * Z @ Z.T)
@@ -221,15 +222,13 @@ def test_slopes_that_are_noise_make_the_clock_uncertain(attitude):
     left = np.linalg.inv(N_clock - told)
     clock = left @ N_clock @ left
     unit = np.sqrt(np.diag(clock))
-    np.testing.assert_allclose(
-        noisy.cov[:2, :2] / np.outer(unit, unit), clock / np.outer(unit, unit), atol=1e-6
-    )
+    assert_allclose(noisy.cov[:2, :2] / np.outer(unit, unit), clock / np.outer(unit, unit), atol=1e-6)
     assert noisy.cov[0, 0] > 1.02 * C[0, 0]
     # given the clock, the others are as certain as before
     K = C[2:, :2] @ N_clock
     others = C[2:, 2:] + K @ (clock - C[:2, :2]) @ K.T
-    np.testing.assert_allclose(noisy.cov[2:, 2:], others, rtol=1e-6, atol=1e-12)
-    np.testing.assert_allclose(noisy.cov[2:, :2], K @ clock, rtol=1e-5, atol=1e-12)
+    assert_allclose(noisy.cov[2:, 2:], others, rtol=1e-6, atol=1e-12)
+    assert_allclose(noisy.cov[2:, :2], K @ clock, rtol=1e-5, atol=1e-12)
 
 
 def test_where_nothing_but_noise_is_left_the_offset_is_unknown():
@@ -254,9 +253,9 @@ def test_times_of_images_join_clock_and_jitters(name, noise_mps):
     with_clock = (-given @ weight[2:, :2])[u - 2 :]
     by_clock = np.column_stack([np.ones(N), model.poses.t_device_s - model.reference_s]) + with_clock
     cov = 2.25 * (by_clock @ fit.cov[:2, :2] @ by_clock.T + given[u - 2 :, u - 2 :])
-    np.testing.assert_allclose(sigma, np.sqrt(np.diag(cov)), rtol=1e-4)
+    assert_allclose(sigma, np.sqrt(np.diag(cov)), rtol=1e-4)
     assert sigma_mean == pytest.approx(np.sqrt(cov.mean()), rel=1e-4)
-    np.testing.assert_allclose(best, model.times(fit.state) + fit.effects_s, rtol=0, atol=1e-12)
+    assert_allclose(best, model.times(fit.state) + fit.effects_s, rtol=0, atol=1e-12)
     assert mean == pytest.approx(fit.state.offset_s + fit.effects_s.mean(), abs=1e-12)
 
 
@@ -264,11 +263,11 @@ def test_without_jitter_all_times_are_those_of_the_clock():
     model, options = Linear(False), OffsetOptions(jitter_s=0.0)
     fit = fitted(model, options)
     best, sigma, mean, sigma_mean = image_times(fit, 1.0, options)
-    np.testing.assert_allclose(best, model.times(fit.state), rtol=0, atol=1e-12)
+    assert_allclose(best, model.times(fit.state), rtol=0, atol=1e-12)
     since = model.poses.t_device_s - model.reference_s
     line = np.column_stack([np.ones(N), since]) @ fit.cov[:2, :2] @ np.stack([np.ones(N), since])
     # a jitter of 0.1 us stands for none
-    np.testing.assert_allclose(sigma, np.sqrt(np.diag(line)), rtol=1e-6)
+    assert_allclose(sigma, np.sqrt(np.diag(line)), rtol=1e-6)
     assert sigma_mean == pytest.approx(np.sqrt(line.mean()), rel=1e-6)
     assert mean == fit.state.offset_s
 
@@ -290,16 +289,16 @@ def test_what_is_known_beforehand():
     for sigma, variance in ((2e-6, 4e-12), (0.0, 1e-24)):
         known = _known(OffsetOptions(sigma_drift=sigma), state, 8)
         assert list(known) == ["drift"]
-        np.testing.assert_array_equal(known["drift"].jacobian, np.eye(8)[1:2])
+        assert_array_equal(known["drift"].jacobian, np.eye(8)[1:2])
         assert known["drift"].residual.tolist() == [5e-6]
         assert known["drift"].cov.tolist() == [pytest.approx(variance)]
     assert list(_known(OffsetOptions(lever_m=LEVER), state, 8)) == ["drift"]
     assert list(_known(OffsetOptions(cov_lever_m2=COV_LEVER), state, 8)) == ["drift"]
     antenna = _known(OffsetOptions(lever_m=LEVER, cov_lever_m2=COV_LEVER), state, 8)["antenna"]
-    np.testing.assert_array_equal(antenna.jacobian, np.eye(8)[2:5])
-    np.testing.assert_allclose(antenna.residual, [0.75, 2.05, 2.4])
+    assert_array_equal(antenna.jacobian, np.eye(8)[2:5])
+    assert_allclose(antenna.residual, [0.75, 2.05, 2.4])
     # a hundredth of a millimetre on top: a matrix of zeros could not be inverted
-    np.testing.assert_allclose(antenna.cov, (COV_LEVER + 1e-10 * np.eye(3))[None], rtol=1e-12)
+    assert_allclose(antenna.cov, (COV_LEVER + 1e-10 * np.eye(3))[None], rtol=1e-12)
 
 
 def test_the_turn_between_ins_and_camera_is_set_once():
@@ -324,8 +323,8 @@ def test_the_turn_between_ins_and_camera_is_set_once():
     for state, R, slow in other.values():
         seen.clear()
         fit_offset(cast(OffsetModel, model), state, OPTIONS["held jitter"])
-        np.testing.assert_allclose(seen[0].R_ics_ccs, R, atol=1e-12)
-        np.testing.assert_array_equal(seen[0].slow, np.full(3, slow))
+        assert_allclose(seen[0].R_ics_ccs, R, atol=1e-12)
+        assert_array_equal(seen[0].slow, np.full(3, slow))
         assert seen[0].oriented
 
 

@@ -5,6 +5,7 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from thalweg.clocks import CameraPoses, InsAttitude, Track
 from thalweg.clocks.camera_offset import (
@@ -50,7 +51,7 @@ def test_the_antenna_is_seen_in_the_frame_of_the_camera():
     seen, inside = _seen(
         poses([1.5], [[0.65, 3.0, 0.0]], rotation_opk(0.0, 0.0, np.pi / 2)), track(np.arange(9)), 1.0
     )
-    np.testing.assert_allclose(seen, [[2.0, 0.0, 0.0]], atol=1e-12)
+    assert_allclose(seen, [[2.0, 0.0, 0.0]], atol=1e-12)
     assert inside.tolist() == [True]
 
 
@@ -95,7 +96,7 @@ def test_the_start_by_hand(offset_s):
     found = find_start(run, track(np.arange(0.0, 40.0, 0.1)), largest_offset_s=2.0, largest_lever_m=1.0)
     assert found.offset_s == pytest.approx(offset_s, abs=2e-3)
     # 2 ms at up to 5 m/s
-    np.testing.assert_allclose(found.lever_m, [0.3, -0.2, -0.1], atol=0.01)
+    assert_allclose(found.lever_m, [0.3, -0.2, -0.1], atol=0.01)
     assert np.flatnonzero(found.gross).tolist() == [4]
     assert found.misfit_m < 0.01
     assert found.overlapping == 20
@@ -183,8 +184,8 @@ def ins(**changed: Any) -> InsAttitude:
 def test_a_steady_turn_has_its_attitude_and_rate():
     R, rate, inside = ins().at(np.array([0.19, 0.21, 5.033, 9.79, 9.81]))
     assert inside.tolist() == [False, True, True, True, False]
-    np.testing.assert_allclose(R[2], exp_rotation(RATE * 5.033), atol=1e-12)
-    np.testing.assert_allclose(rate[1:4], np.tile(RATE, (3, 1)), atol=1e-10)
+    assert_allclose(R[2], exp_rotation(RATE * 5.033), atol=1e-12)
+    assert_allclose(rate[1:4], np.tile(RATE, (3, 1)), atol=1e-10)
     t = ins().t_gps_s
     keep = (t < 4.0) | (t > 4.19)
     _, _, inside = ins(t_gps_s=t[keep], R_wcs_ics=ins().R_wcs_ics[keep]).at(np.array([3.9, 4.1, 4.3]))
@@ -202,13 +203,11 @@ def test_covariance_of_attitudes_by_hand():
     )
     times = np.array([10.0, 30.0])
     one = np.diag([1e-6, 1e-6, 9e-6])
-    np.testing.assert_allclose(
-        level.covariance(times), np.block([[one, one / np.e], [one / np.e, one]]), atol=1e-15
-    )
+    assert_allclose(level.covariance(times), np.block([[one, one / np.e], [one / np.e, one]]), atol=1e-15)
     # difference of two attitudes 0.2 s apart, over 0.2 s
     own = 2 * (1 - np.exp(-0.01)) / 0.04
     between = (2 * np.exp(-1.0) - np.exp(-0.99) - np.exp(-1.01)) / 0.04
-    np.testing.assert_allclose(
+    assert_allclose(
         level.rate_covariance(times),
         np.block([[own * one, between * one], [between * one, own * one]]),
         atol=1e-15,
@@ -220,11 +219,11 @@ def test_cosines_of_periods_above_the_limit():
     run = poses(np.array([0.0, 30.0, 45.0, 90.0]), np.zeros((4, 3)))
     model = OffsetModel(poses=run, track=track(np.arange(200.0)), reference_s=10.0, ins=ins(high_pass_s=60.0))
     expected = [[1.0, 0.5, 0.0, -1.0], [1.0, -0.5, -1.0, 1.0], [1.0, -1.0, 0.0, -1.0]]
-    np.testing.assert_allclose(model.cosines(), expected, atol=1e-12)
+    assert_allclose(model.cosines(), expected, atol=1e-12)
     assert model.names[8:11] == ("slow_roll_1", "slow_pitch_1", "slow_heading_1")
     assert len(model.names) == 17
     state = OffsetState(offset_s=2.0, drift=1e-3, lever_m=np.zeros(3))
-    np.testing.assert_allclose(model.times(state), [1.99, 32.02, 47.035, 92.08])
+    assert_allclose(model.times(state), [1.99, 32.02, 47.035, 92.08])
     none = OffsetModel(poses=run, track=track(np.arange(9.0)), reference_s=0.0, ins=ins(high_pass_s=0.0))
     assert none.cosines().shape == (0, 4)
 
@@ -233,8 +232,8 @@ def test_a_small_change_of_the_unknowns():
     state = OffsetState(offset_s=1.0, drift=2.0, lever_m=np.array([1.0, 2.0, 3.0]), slow=np.array([5.0]))
     found = state.moved(np.array([0.1, 0.2, 0.3, 0.4, 0.5, 0.0, 0.0, np.pi / 2, 7.0]))
     assert (found.offset_s, found.drift) == (1.1, 2.2)
-    np.testing.assert_allclose(found.lever_m, [1.3, 2.4, 3.5])
-    np.testing.assert_allclose(found.R_ics_ccs @ [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], atol=1e-15)
+    assert_allclose(found.lever_m, [1.3, 2.4, 3.5])
+    assert_allclose(found.R_ics_ccs @ [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], atol=1e-15)
     assert found.slow.tolist() == [12.0]
     short = state.moved(np.array([0.1, 0.2, 0.3, 0.4, 0.5]))
     assert (short.R_ics_ccs == state.R_ics_ccs).all()

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from thalweg.clocks import ClockModel, Lag, Speeds, report_lines, stream_table, time_report
@@ -172,12 +173,12 @@ def test_poses_come_into_the_world_with_the_error_they_share():
     assert counts == {"images_with_pose_and_time": 2, "poses_without_time": 1, "times_without_pose": 1}
     # the chain of the core carries both errors; here they stand apart
     full = place @ pose
-    np.testing.assert_allclose(run.R_wcs_ccs[0], full.R, atol=1e-12)
-    np.testing.assert_allclose(run.centre_wcs_m[0], full.shift_m, atol=1e-12)
+    assert_allclose(run.R_wcs_ccs[0], full.R, atol=1e-12)
+    assert_allclose(run.centre_wcs_m[0], full.shift_m, atol=1e-12)
     J = np.eye(6)
     arm = full.shift_m - shared.about_wcs_m
     J[:3, 3:] = -np.array([[0, -arm[2], arm[1]], [arm[2], 0, -arm[0]], [-arm[1], arm[0], 0]])
-    np.testing.assert_allclose(run.cov_pose_wcs[0] + J @ shared.cov @ J.T, full.cov, rtol=1e-9, atol=1e-15)
+    assert_allclose(run.cov_pose_wcs[0] + J @ shared.cov @ J.T, full.cov, rtol=1e-9, atol=1e-15)
     with pytest.raises(ClockError, match="none of 3 images"):
         run_poses(names, dict.fromkeys(names, pose), place, stamps.assign(file="x.jpg"))
 
@@ -208,8 +209,8 @@ def test_options_and_attitudes_of_a_campaign():
     )
     ins = run_attitude(states, FRAME, OPTIONS)
     # heading east: forward is east, right is south, down is down
-    np.testing.assert_allclose(ins.R_wcs_ics[0], [[1, 0, 0], [0, -1, 0], [0, 0, -1]], atol=1e-12)
-    np.testing.assert_allclose(ins.sigma_rad, [np.deg2rad(0.1), 0.001, 0.004])
+    assert_allclose(ins.R_wcs_ics[0], [[1, 0, 0], [0, -1, 0], [0, 0, -1]], atol=1e-12)
+    assert_allclose(ins.sigma_rad, [np.deg2rad(0.1), 0.001, 0.004])
     assert run_attitude(states, FRAME, OPTIONS | {"use_attitude": False}) is None
     with pytest.raises(CoverageError, match="0 INS states"):
         run_attitude(states.assign(t_gps_s=np.nan), FRAME, OPTIONS)

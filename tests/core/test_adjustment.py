@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy import sparse
 from scipy.stats import chi2
 
@@ -50,15 +51,15 @@ def test_a_line_is_the_weighted_closed_form(points, thin):
     A = np.stack([np.ones_like(x), x], axis=1) / sigma[:, None]
     Q = np.linalg.inv(A.T @ A)
     # float64 of a well-conditioned 2x2 system
-    np.testing.assert_allclose(found.x, Q @ A.T @ (y / sigma), rtol=1e-10)
-    np.testing.assert_allclose(found.cov, Q, rtol=1e-10)
+    assert_allclose(found.x, Q @ A.T @ (y / sigma), rtol=1e-10)
+    assert_allclose(found.cov, Q, rtol=1e-10)
     v = A @ found.x - y / sigma
     assert found.sigma0_squared == pytest.approx(v @ v / 38, rel=1e-9)
     assert found.redundancy == 38
     assert found.group_sigma0["points"] == pytest.approx(np.sqrt(v @ v / 38), rel=1e-9)
     assert found.sigma("slope") == pytest.approx(np.sqrt(Q[1, 1]))
     assert found.correlation()[0, 1] == pytest.approx(Q[0, 1] / np.sqrt(Q[0, 0] * Q[1, 1]))
-    np.testing.assert_allclose(found.block(["slope", "height"]), Q[::-1, ::-1], rtol=1e-10)
+    assert_allclose(found.block(["slope", "height"]), Q[::-1, ::-1], rtol=1e-10)
 
 
 @pytest.mark.parametrize("thin", [False, True], ids=["dense", "sparse"])
@@ -73,10 +74,10 @@ def test_blocks_are_generalised_least_squares(rng, thin):
     group = Observations("blocks", lambda x: Linear(residual=J @ x - y, jacobian=wide, cov=S))
     found = adjust([group], np.zeros(3), ("a", "b", "c"))
     P = np.linalg.inv(whole)
-    np.testing.assert_allclose(found.cov, np.linalg.inv(J.T @ P @ J), rtol=1e-8)
-    np.testing.assert_allclose(found.x, found.cov @ J.T @ P @ y, rtol=1e-8)
+    assert_allclose(found.cov, np.linalg.inv(J.T @ P @ J), rtol=1e-8)
+    assert_allclose(found.x, found.cov @ J.T @ P @ y, rtol=1e-8)
     v = J @ found.x - y
-    np.testing.assert_allclose(
+    assert_allclose(
         np.square(found.standardised["blocks"]),
         [v[3 * b : 3 * b + 3] @ np.linalg.solve(S[b], v[3 * b : 3 * b + 3]) for b in range(4)],
         rtol=1e-8,
@@ -88,7 +89,7 @@ def test_redundancy_is_shared_among_the_groups(points):
     two = [line(x[:5], y[:5], sigma[:5], name="few"), line(x[5:], y[5:], sigma[5:], name="many")]
     found = adjust(two, np.zeros(2), LINE)
     one = adjust([line(x, y, sigma)], np.zeros(2), LINE)
-    np.testing.assert_allclose(found.x, one.x, rtol=1e-10)
+    assert_allclose(found.x, one.x, rtol=1e-10)
     assert sum(found.group_redundancy.values()) == pytest.approx(38, abs=1e-9)
     squares = sum(found.group_sigma0[n] ** 2 * found.group_redundancy[n] for n in ("few", "many"))
     assert squares == pytest.approx(one.sigma0_squared * 38, rel=1e-9)
@@ -101,8 +102,8 @@ def test_an_observed_unknown_is_a_weighted_mean():
     )
     found = adjust([told, seen], np.zeros(2), ("a", "b"))
     # weights 25 and 100
-    np.testing.assert_allclose(found.x, [(25 * 1 + 100 * 2) / 125, 5.0], rtol=1e-12)
-    np.testing.assert_allclose(found.cov, np.diag([1 / 125, 1.0]), atol=1e-15)
+    assert_allclose(found.x, [(25 * 1 + 100 * 2) / 125, 5.0], rtol=1e-12)
+    assert_allclose(found.cov, np.diag([1 / 125, 1.0]), atol=1e-15)
 
 
 # ---------------------------------------------------------------- Gauss-Helmert
@@ -170,10 +171,10 @@ def test_blunders_are_rejected_and_nothing_else(rng, share):
     found = adjust([line(x, y, sigma)], np.zeros(2), LINE, loss="huber", reject_sigmas=4.5)
     clean = np.ones(200, dtype=bool)
     clean[wrong] = False
-    np.testing.assert_array_equal(found.used["points"], clean)
+    assert_array_equal(found.used["points"], clean)
     alone = adjust([line(x[clean], y[clean], sigma[clean])], np.zeros(2), LINE)
-    np.testing.assert_allclose(found.x, alone.x, atol=1e-8)
-    np.testing.assert_allclose(found.cov, alone.cov, rtol=1e-8)
+    assert_allclose(found.x, alone.x, atol=1e-8)
+    assert_allclose(found.cov, alone.cov, rtol=1e-8)
     assert found.redundancy == clean.sum() - 2
 
 
@@ -225,10 +226,10 @@ def test_inner_constraints_give_the_pseudo_inverse(rng):
     found = adjust([group], start, "ABCD", inner_constraints=lambda x: G)
     J = group.model(start).jacobian
     # the Moore-Penrose inverse is the datum of least trace
-    np.testing.assert_allclose(found.cov, np.linalg.pinv(J.T @ J / 1e-4), atol=1e-12)
+    assert_allclose(found.cov, np.linalg.pinv(J.T @ J / 1e-4), atol=1e-12)
     assert found.x.sum() == pytest.approx(start.sum(), abs=1e-9)
     assert found.redundancy == len(RING) - 4 + 1
-    np.testing.assert_allclose(np.diff(found.x), 1.0, atol=0.05)
+    assert_allclose(np.diff(found.x), 1.0, atol=0.05)
 
 
 # ---------------------------------------------------------------- bad input
@@ -441,8 +442,8 @@ def test_uneven_inner_constraints_are_the_adjustment_of_what_they_leave(rng):
     N = part.jacobian.T @ part.jacobian / 1e-4
     T = np.linalg.svd(G)[2][1:].T
     Q = T @ np.linalg.inv(T.T @ N @ T) @ T.T
-    np.testing.assert_allclose(found.cov, Q, atol=1e-12)
-    np.testing.assert_allclose(found.x, -Q @ part.jacobian.T @ part.residual / 1e-4, atol=1e-9)
+    assert_allclose(found.cov, Q, atol=1e-12)
+    assert_allclose(found.x, -Q @ part.jacobian.T @ part.residual / 1e-4, atol=1e-9)
     # all five differences are of one group, and three unknowns are left to them
     assert found.group_redundancy["levels"] == pytest.approx(2.0)
     assert (found.redundancy, found.sigma0_squared) == pytest.approx((2.0, found.group_sigma0["levels"] ** 2))
@@ -453,12 +454,12 @@ def test_observations_that_just_determine_the_unknowns_have_no_scatter():
     found = adjust(
         [line(np.array([0.0, 2.0]), np.array([1.0, 5.0]), np.array([0.1, 0.1]))], np.zeros(2), LINE
     )
-    np.testing.assert_allclose(found.x, [1.0, 2.0], atol=1e-9)
-    np.testing.assert_allclose(found.cov, [[0.01, -0.005], [-0.005, 0.005]], rtol=1e-9)
+    assert_allclose(found.x, [1.0, 2.0], atol=1e-9)
+    assert_allclose(found.cov, [[0.01, -0.005], [-0.005, 0.005]], rtol=1e-9)
     assert (found.redundancy, found.sigma0_squared) == (0.0, 0.0)
     assert found.group_redundancy["points"] == pytest.approx(0.0, abs=1e-9)
     assert found.group_sigma0["points"] == 0.0
-    np.testing.assert_allclose(found.sigmas, [0.1, np.sqrt(0.005)], rtol=1e-9)
+    assert_allclose(found.sigmas, [0.1, np.sqrt(0.005)], rtol=1e-9)
 
 
 @pytest.mark.parametrize("damping", [0.0, 0.5])
@@ -468,9 +469,9 @@ def test_a_damped_step_stays_off_the_datum(damping, rng):
     here = normal_equations([group], np.zeros(4), 4, [None], None)
     G = np.array([[1.0, 2.0, 0.0, -0.5]])
     dx = damped_step(here, tuple("ABCD"), G, damping, "")
-    np.testing.assert_allclose(G @ dx, 0.0, atol=1e-12)
+    assert_allclose(G @ dx, 0.0, atol=1e-12)
     if damping == 0.0:
-        np.testing.assert_allclose(here.N @ dx, here.n, rtol=1e-9)
+        assert_allclose(here.N @ dx, here.n, rtol=1e-9)
 
 
 @pytest.mark.parametrize(("large", "steps"), [(1e3, 1), (0.0, 10)])

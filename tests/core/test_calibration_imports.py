@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from thalweg.cli import main
 from thalweg.core import (
@@ -275,8 +276,8 @@ def test_cameras_come_in_with_the_sigmas_that_are_stated(tmp_path):
     expected = [0.5, 0.5, 0.3, 0.3, 1e-4, 1e-4, 1e-4, 1e-4, 0.0]
     for found in (by_colmap, by_opencv):
         # 0.5 pixels off and on round the last digit of cx
-        np.testing.assert_allclose(found.values, parameters, rtol=1e-15)
-        np.testing.assert_allclose(found.sigmas, expected)
+        assert_allclose(found.values, parameters, rtol=1e-15)
+        assert_allclose(found.sigmas, expected)
         assert found.source.method.endswith("sigmas as stated")
     for number, words in ((None, "2 cameras; expected the number of one: 1, 7"), (2, "there is no camera 2")):
         with pytest.raises(InputError, match=words):
@@ -301,7 +302,7 @@ def test_a_sigma_that_is_asked_for_is_never_dropped(tmp_path, capsys):
         found = import_camera(
             tmp_path / f"{name}.json", {"focal_px": 9.0, "centre_px": 5.0, **stated}, kind="opencv"
         )
-        np.testing.assert_allclose(found.sigmas, [9.0, 9.0, 5.0, 5.0, *sigmas])
+        assert_allclose(found.sigmas, [9.0, 9.0, 5.0, 5.0, *sigmas])
         held = [n for n, s in zip(("k1", "k2", "p1", "p2", "k3"), sigmas, strict=True) if s == 0]
         assert found.blocks[0].facts["held"] == held
     words = ["import-camera", str(tmp_path / "bare.json"), str(tmp_path / "out.yaml")]

@@ -3,6 +3,7 @@
 import cv2
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from thalweg.core import (
     Camera,
@@ -42,7 +43,7 @@ def test_round_trip(tmp_path, camera, name):
         assert found.name == "boat"
     assert (found.model, found.size_px) == (camera.model, camera.size_px)
     # repr of a float64 is exact; 0.5 off and on rounds the last digit of cx
-    np.testing.assert_allclose(found.parameters, camera.parameters, rtol=1e-15)
+    assert_allclose(found.parameters, camera.parameters, rtol=1e-15)
 
 
 @pytest.mark.parametrize("suffix", ["yaml", "json"])
@@ -56,12 +57,12 @@ def test_opencv_reads_ours_and_we_read_opencvs(tmp_path, suffix):
     storage.write("distortion_coefficients", BROWN.parameters[None, 4:])
     storage.release()
     # OpenCV writes 16 digits
-    np.testing.assert_allclose(read_opencv(path).parameters, BROWN.parameters, rtol=1e-14)
+    assert_allclose(read_opencv(path).parameters, BROWN.parameters, rtol=1e-14)
     ours = tmp_path / "ours.yaml"
     write_opencv(ours, BROWN)
     storage = cv2.FileStorage(str(ours), cv2.FILE_STORAGE_READ)
-    np.testing.assert_allclose(storage.getNode("camera_matrix").mat(), K)
-    np.testing.assert_allclose(storage.getNode("distortion_coefficients").mat().ravel(), BROWN.parameters[4:])
+    assert_allclose(storage.getNode("camera_matrix").mat(), K)
+    assert_allclose(storage.getNode("distortion_coefficients").mat().ravel(), BROWN.parameters[4:])
 
 
 def test_camera_info_of_a_real_set(tmp_path):
@@ -74,7 +75,7 @@ def test_camera_info_of_a_real_set(tmp_path):
     )
     found = read_opencv(path)
     assert (found.model, found.size_px, found.name) == ("fisheye", (1920, 1208), "camera_info")
-    np.testing.assert_allclose(found.parameters, FISHEYE.parameters, rtol=1e-12)
+    assert_allclose(found.parameters, FISHEYE.parameters, rtol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -94,7 +95,7 @@ def test_camera_info_of_a_real_set(tmp_path):
 def test_models_of_colmap(tmp_path, line, parameters):
     path = tmp_path / "cameras.txt"
     path.write_text(f"# Camera list\n{line}\n")
-    np.testing.assert_array_equal(read_colmap(path)[1].parameters, parameters)
+    assert_array_equal(read_colmap(path)[1].parameters, parameters)
 
 
 @pytest.mark.parametrize(

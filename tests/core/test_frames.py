@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
+from numpy.testing import assert_allclose
 from pyproj import CRS, Geod, Transformer
 from scipy.spatial.transform import Rotation
 
@@ -32,15 +33,15 @@ TO_ECEF = Transformer.from_crs(4979, 4978, always_xy=True)
 def test_rotations_as_scipy_makes_them(a, b, c):
     # upper case: intrinsic axes, so R = R_x(a) R_y(b) R_z(c); a product of three rotations: 1e-15
     expected = Rotation.from_euler("XYZ", [a, b, c]).as_matrix()
-    np.testing.assert_allclose(rotation_opk(a, b, c), expected, atol=1e-14)
+    assert_allclose(rotation_opk(a, b, c), expected, atol=1e-14)
     for make, axis in ((rotation_x, "x"), (rotation_y, "y"), (rotation_z, "z")):
-        np.testing.assert_allclose(make(a), Rotation.from_euler(axis, a).as_matrix(), atol=1e-15)
+        assert_allclose(make(a), Rotation.from_euler(axis, a).as_matrix(), atol=1e-15)
 
 
 @given(ANGLES, ANGLES, ANGLES)
 def test_body_rotation_is_the_aerospace_sequence(roll, pitch, heading):
     expected = R_ENU_NED @ Rotation.from_euler("ZYX", [heading, pitch, roll]).as_matrix()
-    np.testing.assert_allclose(rotation_enu_body(roll, pitch, heading), expected, atol=1e-14)
+    assert_allclose(rotation_enu_body(roll, pitch, heading), expected, atol=1e-14)
 
 
 @pytest.mark.parametrize(
@@ -56,7 +57,7 @@ def test_body_rotation_is_the_aerospace_sequence(roll, pitch, heading):
 )
 def test_signs_of_attitude(angles_deg, body, enu):
     R = rotation_enu_body(*np.deg2rad(angles_deg))
-    np.testing.assert_allclose(R @ body, enu, atol=1e-15)
+    assert_allclose(R @ body, enu, atol=1e-15)
 
 
 @given(ANGLES, st.floats(-1.55, 1.55), st.floats(0, 2 * np.pi, exclude_max=True))
@@ -75,7 +76,7 @@ def test_attitude_round_trip(roll, pitch, heading):
 
 def test_transform_has_its_parts():
     T = transform(rotation_z(0.3), [1, 2, 3])
-    np.testing.assert_allclose(T @ [1, 0, 0, 1], [np.cos(0.3) + 1, np.sin(0.3) + 2, 3, 1])
+    assert_allclose(T @ [1, 0, 0, 1], [np.cos(0.3) + 1, np.sin(0.3) + 2, 3, 1])
 
 
 def test_enu_axes_at_a_position():
@@ -83,12 +84,12 @@ def test_enu_axes_at_a_position():
     h = 1.0
     up = np.subtract(TO_ECEF.transform(13.25, 51.05, 300 + h), TO_ECEF.transform(13.25, 51.05, 300))
     # differences of 6e6 m: 1e-9
-    np.testing.assert_allclose(R @ [0, 0, 1], up, atol=3e-9)
+    assert_allclose(R @ [0, 0, 1], up, atol=3e-9)
     north = np.subtract(
         TO_ECEF.transform(13.25, 51.05 + 1e-5, 300), TO_ECEF.transform(13.25, 51.05 - 1e-5, 300)
     )
-    np.testing.assert_allclose(R @ [0, 1, 0], north / np.linalg.norm(north), atol=1e-8)
-    np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-15)
+    assert_allclose(R @ [0, 1, 0], north / np.linalg.norm(north), atol=1e-8)
+    assert_allclose(R @ R.T, np.eye(3), atol=1e-15)
     assert rotation_ecef_enu(np.zeros(5), np.arange(5)).shape == (5, 3, 3)
 
 
@@ -103,17 +104,17 @@ def test_local_frame_is_the_rotated_difference_of_earth_centred_coordinates():
     origin = np.array(TO_ECEF.transform(13.25, 51.05, 300.0))
     expected = (ecef - origin) @ rotation_ecef_enu(51.05, 13.25)
     # earth-centred coordinates in float64: 1e-9 m
-    np.testing.assert_allclose(FRAME.from_geodetic(lat, lon, h), expected, atol=5e-9)
-    np.testing.assert_allclose(FRAME.from_ecef(ecef), expected, atol=5e-9)
+    assert_allclose(FRAME.from_geodetic(lat, lon, h), expected, atol=5e-9)
+    assert_allclose(FRAME.from_ecef(ecef), expected, atol=5e-9)
     back = FRAME.to_geodetic(expected)
     # 1e-14 of a degree is 1 nm
-    np.testing.assert_allclose(back[0], lat, atol=1e-12)
-    np.testing.assert_allclose(back[1], lon, atol=1e-12)
-    np.testing.assert_allclose(back[2], h, atol=5e-9)
+    assert_allclose(back[0], lat, atol=1e-12)
+    assert_allclose(back[1], lon, atol=1e-12)
+    assert_allclose(back[2], h, atol=5e-9)
 
 
 def test_vertical_elsewhere():
-    np.testing.assert_allclose(FRAME.R_wcs_enu(51.05, 13.25), np.eye(3), atol=1e-15)
+    assert_allclose(FRAME.R_wcs_enu(51.05, 13.25), np.eye(3), atol=1e-15)
     # 0.0135 degrees of latitude are 1.5 km: that much the vertical turns
     up = FRAME.R_wcs_enu(51.05 + 0.0135, 13.25)[:, 2]
     assert np.rad2deg(np.arccos(up[2])) == pytest.approx(0.0135, rel=1e-6)
@@ -125,9 +126,9 @@ def test_map_export_as_pyproj_does_it():
     lat, lon, h = FRAME.to_geodetic(points)
     # from the datum of the grid: no shift
     east, north = Transformer.from_crs(4258, 25833, always_xy=True).transform(lon, lat)
-    np.testing.assert_allclose(FRAME.to_map(points, UTM), np.stack([east, north, h], axis=-1), atol=1e-8)
+    assert_allclose(FRAME.to_map(points, UTM), np.stack([east, north, h], axis=-1), atol=1e-8)
     compound = FRAME.to_map(points, CRS("EPSG:25833+7837"))
-    np.testing.assert_allclose(compound, FRAME.to_map(points, UTM), atol=1e-9)  # height stays ellipsoidal
+    assert_allclose(compound, FRAME.to_map(points, UTM), atol=1e-9)  # height stays ellipsoidal
 
 
 @pytest.mark.parametrize("code", [4326, 4979, 4978])
@@ -206,15 +207,15 @@ def test_headings_in_the_frame_and_in_the_grid():
 def test_axes_of_attitude_by_hand():
     """Heading east, nose level: roll about east, pitch about south (to the right), heading about down."""
     axes = attitude_axes(rotation_enu_body(0.0, 0.0, np.pi / 2)[None])[0]
-    np.testing.assert_allclose(axes, [[1, 0, 0], [0, -1, 0], [0, 0, -1]], atol=1e-15)
+    assert_allclose(axes, [[1, 0, 0], [0, -1, 0], [0, 0, -1]], atol=1e-15)
 
 
 def test_the_axes_that_omega_phi_and_kappa_turn_about_by_hand():
     """Omega about x; phi about y after omega; kappa about z after both. Omega 60, phi 30 degrees."""
     axes = opk_axes(np.deg2rad(60.0), np.deg2rad(30.0))
-    np.testing.assert_allclose(axes[:, 0], [1.0, 0.0, 0.0])
-    np.testing.assert_allclose(axes[:, 1], [0.0, 0.5, np.sqrt(0.75)])
-    np.testing.assert_allclose(axes[:, 2], [0.5, -0.75, np.sqrt(0.1875)])
+    assert_allclose(axes[:, 0], [1.0, 0.0, 0.0])
+    assert_allclose(axes[:, 1], [0.0, 0.5, np.sqrt(0.75)])
+    assert_allclose(axes[:, 2], [0.5, -0.75, np.sqrt(0.1875)])
 
 
 def test_a_point_that_a_grid_without_limits_cannot_express_is_refused():
@@ -231,9 +232,9 @@ def test_a_point_of_a_grid_is_that_of_its_latitude_and_longitude():
     east, north = Transformer.from_crs(4258, 25833, always_xy=True).transform(lon, lat)
     there = FRAME.from_map(np.stack([east, north, np.full((2, 2), h)], axis=-1), UTM)
     # PROJ's series are good to 1e-9 m, coordinates of 5.6e6 m in float64 too
-    np.testing.assert_allclose(there, FRAME.from_geodetic(lat, lon, h), atol=1e-6)
+    assert_allclose(there, FRAME.from_geodetic(lat, lon, h), atol=1e-6)
     # and back
-    np.testing.assert_allclose(FRAME.to_map(there, UTM)[..., 1], north, atol=1e-6)
+    assert_allclose(FRAME.to_map(there, UTM)[..., 1], north, atol=1e-6)
     with pytest.raises(GeometryError, match="outside"):
         FRAME.from_map([[5_656_000.0, 377_000.0, 310.0]], UTM)  # northing before easting
 
@@ -250,5 +251,5 @@ def test_an_origin_of_numpy_numbers_is_the_same_place():
     """Row of a table as origin: PROJ once read its numbers as 0, and all lay 5000 km off without a word."""
     origin = {"lat_deg": 51.58, "lon_deg": 14.40, "h_ell_m": 1030.0}
     frame = LocalFrame(**{name: np.float64(value) for name, value in origin.items()})
-    np.testing.assert_allclose(frame.from_geodetic(*origin.values()), 0.0, atol=1e-9)
+    assert_allclose(frame.from_geodetic(*origin.values()), 0.0, atol=1e-9)
     assert frame == LocalFrame(**origin)

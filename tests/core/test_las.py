@@ -5,6 +5,7 @@ from typing import Any
 import laspy
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from pyproj import CRS
 
 from tests.las_files import write_laz
@@ -54,12 +55,12 @@ def test_round_trip(tmp_path, scale_m, suffix):
         return np.concatenate([c.get(name, c["extra"].get(name)) for c in chunks])
 
     # half a step, and float64 at 200 m
-    np.testing.assert_allclose(found["xyz_m"], given("xyz_m"), rtol=0, atol=scale_m / 2 + 1e-12)
+    assert_allclose(found["xyz_m"], given("xyz_m"), rtol=0, atol=scale_m / 2 + 1e-12)
     for name in ("t_gps_s", "return_number", "number_of_returns", "classification", "ring"):
-        np.testing.assert_array_equal(found[name], given(name))
-    np.testing.assert_array_equal(found["intensity"], given("intensity").astype(int) * 256)
-    np.testing.assert_array_equal(found["range"], given("range").astype(np.float32))
-    np.testing.assert_allclose(found["sigma_up"], given("sigma_up"), rtol=0, atol=0.5e-4 + 1e-12)
+        assert_array_equal(found[name], given(name))
+    assert_array_equal(found["intensity"], given("intensity").astype(int) * 256)
+    assert_array_equal(found["range"], given("range").astype(np.float32))
+    assert_allclose(found["sigma_up"], given("sigma_up"), rtol=0, atol=0.5e-4 + 1e-12)
     assert header.frame == FRAME  # every digit of the origin
     assert (header.n_points, header.scale_m, header.format_version) == (71_001, scale_m, 1)
     assert header.extra_dimensions["range"] == ("<f4", "measured range, m")
@@ -90,12 +91,12 @@ def test_header_statements_as_laspy_reads_them(tmp_path):
     assert (str(header.version), header.point_format.id) == ("1.4", 6)
     assert header.global_encoding.wkt
     assert header.global_encoding.gps_time_type == laspy.header.GpsTimeType.STANDARD
-    np.testing.assert_allclose(header.mins, given["xyz_m"].min(axis=0), atol=5.1e-4)
-    np.testing.assert_allclose(header.maxs, given["xyz_m"].max(axis=0), atol=5.1e-4)
+    assert_allclose(header.mins, given["xyz_m"].min(axis=0), atol=5.1e-4)
+    assert_allclose(header.maxs, given["xyz_m"].max(axis=0), atol=5.1e-4)
     counts = np.bincount(given["return_number"], minlength=16)[1:16]
-    np.testing.assert_array_equal(header.number_of_points_by_return, counts)
-    np.testing.assert_array_equal(header.scales, [0.001] * 3)
-    np.testing.assert_array_equal(las.gps_time, given["t_gps_s"])
+    assert_array_equal(header.number_of_points_by_return, counts)
+    assert_array_equal(header.scales, [0.001] * 3)
+    assert_array_equal(las.gps_time, given["t_gps_s"])
     # the day of the data: 2017-05-12, not of the run
     assert str(header.creation_date) == "2017-05-12"
     crs = header.parse_crs()
@@ -120,7 +121,7 @@ def test_map_coordinates(tmp_path, code):
     write_laz(path, [{"xyz_m": xyz}], crs)
     found, header = read_laz(path)
     assert header.frame == crs
-    np.testing.assert_allclose(found["xyz_m"], xyz, rtol=0, atol=0.5e-3 + 1e-9)
+    assert_allclose(found["xyz_m"], xyz, rtol=0, atol=0.5e-3 + 1e-9)
     assert np.isnan(found["t_gps_s"]).all()
     with laspy.open(path) as reader:
         wkt = next(v for v in reader.header.vlrs if v.user_id == "LASF_Projection").string
@@ -134,7 +135,7 @@ def test_colours_make_format_7(tmp_path):
     write_laz(tmp_path / "a.laz", [{"xyz_m": np.zeros((2, 3)), "rgb": rgb}], FRAME)
     found, header = read_laz(tmp_path / "a.laz")
     assert header.point_format == 7
-    np.testing.assert_array_equal(found["rgb"], rgb.astype(int) * 256)
+    assert_array_equal(found["rgb"], rgb.astype(int) * 256)
 
 
 def test_engineering_crs_says_the_origin():
@@ -249,7 +250,7 @@ def test_week_time_of_others_is_not_taken_for_gps_time(tmp_path):
     found, header = read_laz(tmp_path / "a.laz")
     assert not header.standard_time
     assert np.isnan(found["t_gps_s"]).all()
-    np.testing.assert_array_equal(found["t_week_s"], [5.0, 6.0])
+    assert_array_equal(found["t_week_s"], [5.0, 6.0])
 
 
 def test_fuzz_laz(tmp_path, fuzz, capfd):

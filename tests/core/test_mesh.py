@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from thalweg.core import GeometryError
 from thalweg.core.geometry import TriangleMesh
@@ -22,8 +23,8 @@ def test_two_triangles_are_neighbours_across_their_diagonal():
     mesh = mesh_of(SQUARE, [[0, 1, 2], [0, 2, 3]])
     assert mesh.neighbours().tolist() == [[NO_FACE, NO_FACE, 1], [0, NO_FACE, NO_FACE]]
     assert mesh.border_faces().all()
-    np.testing.assert_allclose(mesh.areas_m2(), [2.0, 2.0])
-    np.testing.assert_allclose(mesh.face_normals(), [[0, 0, 1]] * 2)
+    assert_allclose(mesh.areas_m2(), [2.0, 2.0])
+    assert_allclose(mesh.face_normals(), [[0, 0, 1]] * 2)
 
 
 def test_a_closed_body_has_no_border():
@@ -54,7 +55,7 @@ def test_neighbours_are_those_of_a_dictionary_of_edges(rng):
             expected[f, i], expected[g, j] = g, f
     mesh = mesh_of(rng.normal(size=(30, 3)).tolist(), faces.tolist())
     assert (expected != NO_FACE).any()
-    np.testing.assert_array_equal(mesh.neighbours(), expected)
+    assert_array_equal(mesh.neighbours(), expected)
 
 
 def test_parts_and_pieces():
@@ -90,5 +91,5 @@ def test_areas_and_normals_far_from_the_origin():
     corners = np.array([[7.0, 5.0, 3.0], [10.0, 5.0, 3.0], [7.0, 9.0, 3.0], [7.0, 5.0, 6.0]])
     mesh = mesh_of(corners.tolist(), [[0, 1, 2], [0, 1, 3], [1, 2, 3]])
     # the slanted face: half the cross product of (-3, 4, 0) and (-3, 0, 3)
-    np.testing.assert_allclose(mesh.areas_m2(), [6.0, 4.5, 0.5 * np.linalg.norm([12.0, 9.0, 12.0])])
-    np.testing.assert_allclose(mesh.face_normals()[:2], [[0, 0, 1], [0, -1, 0]], atol=1e-15)
+    assert_allclose(mesh.areas_m2(), [6.0, 4.5, 0.5 * np.linalg.norm([12.0, 9.0, 12.0])])
+    assert_allclose(mesh.face_normals()[:2], [[0, 0, 1], [0, -1, 0]], atol=1e-15)

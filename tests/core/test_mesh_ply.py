@@ -8,6 +8,7 @@ import subprocess
 import numpy as np
 import pytest
 import trimesh
+from numpy.testing import assert_allclose, assert_array_equal
 from plyfile import PlyData
 
 from thalweg.core import InputError, LocalFrame
@@ -36,9 +37,9 @@ def path(mesh, tmp_path):
 
 def test_a_mesh_comes_back(mesh, path):
     back, frame, facts = read_mesh(path)
-    np.testing.assert_array_equal(back.vertices_m, mesh.vertices_m)
-    np.testing.assert_array_equal(back.faces, mesh.faces)
-    np.testing.assert_array_equal(back.sigma_m, mesh.sigma_m.astype(np.float32))
+    assert_array_equal(back.vertices_m, mesh.vertices_m)
+    assert_array_equal(back.faces, mesh.faces)
+    assert_array_equal(back.sigma_m, mesh.sigma_m.astype(np.float32))
     assert (frame, facts) == (FRAME, FACTS)
     assert not list(path.parent.glob(".*"))
 
@@ -50,14 +51,14 @@ def test_the_same_mesh_gives_the_same_bytes(mesh, path):
 
 def test_plyfile_and_trimesh_and_open3d_open_it(mesh, path):
     data = PlyData.read(str(path))
-    np.testing.assert_array_equal(data["face"]["border"].astype(bool), mesh.border_faces())
+    assert_array_equal(data["face"]["border"].astype(bool), mesh.border_faces())
     assert 0 < mesh.border_faces().sum() < len(mesh.faces)
     other = trimesh.load_mesh(path, process=False)
-    np.testing.assert_array_equal(other.faces, mesh.faces)
-    np.testing.assert_array_equal(other.vertices, mesh.vertices_m)
+    assert_array_equal(other.faces, mesh.faces)
+    assert_array_equal(other.vertices, mesh.vertices_m)
     third = _open3d().io.read_triangle_mesh(str(path))
-    np.testing.assert_array_equal(np.asarray(third.triangles), mesh.faces)
-    np.testing.assert_array_equal(np.asarray(third.vertices), mesh.vertices_m)
+    assert_array_equal(np.asarray(third.triangles), mesh.faces)
+    assert_array_equal(np.asarray(third.vertices), mesh.vertices_m)
 
 
 def test_cloudcompare_opens_it(mesh, path):
@@ -89,10 +90,10 @@ def test_cloudcompare_opens_it(mesh, path):
     )
     assert (path.parent / "out.ply").is_file(), run.stdout[-2000:]
     back = PlyData.read(str(path.parent / "out.ply"))
-    np.testing.assert_array_equal(np.stack(back["face"]["vertex_indices"]), mesh.faces)
+    assert_array_equal(np.stack(back["face"]["vertex_indices"]), mesh.faces)
     # CloudCompare 2.11 keeps float32: 800 m x 2^-24
     for axis, name in enumerate("xyz"):
-        np.testing.assert_allclose(back["vertex"][name], mesh.vertices_m[:, axis], atol=5e-5)
+        assert_allclose(back["vertex"][name], mesh.vertices_m[:, axis], atol=5e-5)
     with pytest.raises(InputError, match="another program"):
         read_mesh(path.parent / "out.ply")
 

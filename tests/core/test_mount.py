@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from thalweg.core import GeometryError, Rigid, rotation_opk
 
@@ -24,13 +25,13 @@ def test_sigmas_of_angles_at_minus_ninety_degrees():
     for section in (SECTION, SECTION | {"sigma_axes": "angles"}):
         sigma_deg = np.rad2deg(Rigid.from_mount(section).sigma_rotation_rad)
         # x: omega and kappa together; nothing turns about z. 1e-9: cosine of -90 degrees in float64
-        np.testing.assert_allclose(sigma_deg, [np.hypot(0.01, 0.04), 0.02, 0.0], atol=1e-9)
+        assert_allclose(sigma_deg, [np.hypot(0.01, 0.04), 0.02, 0.0], atol=1e-9)
 
 
 def test_sigmas_about_the_axes_of_ics_are_taken_as_they_stand():
     mount = Rigid.from_mount(SECTION | {"sigma_axes": "ics"})
-    np.testing.assert_allclose(np.rad2deg(mount.sigma_rotation_rad), [0.01, 0.02, 0.04])
-    np.testing.assert_allclose(mount.sigma_shift_m, [0.001, 0.002, 0.003])
+    assert_allclose(np.rad2deg(mount.sigma_rotation_rad), [0.01, 0.02, 0.04])
+    assert_allclose(mount.sigma_shift_m, [0.001, 0.002, 0.003])
 
 
 def test_a_correlation_belongs_to_the_order_of_the_section():

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from pyproj import CRS, Transformer
 
 from thalweg.core import GeometryError, InputError, LocalFrame
@@ -156,8 +157,8 @@ def test_coordinates_in_three_forms_are_the_same_place():
         (geodetic[:, [1, 0, 2]], MAP, CRS("EPSG:4979")),
         (grid, MAP, utm),
     ):
-        np.testing.assert_allclose(world_of(values, form, crs, FRAME), world, atol=1e-6)
-        np.testing.assert_allclose(near_world(values, form, crs, FRAME, "a"), world, atol=1e-6)
+        assert_allclose(world_of(values, form, crs, FRAME), world, atol=1e-6)
+        assert_allclose(near_world(values, form, crs, FRAME, "a"), world, atol=1e-6)
     for lat, lon in ((90.1, 13.0), (-90.1, 13.0), (51.0, 360.1), (51.0, -360.1)):
         wrong = np.array([geodetic[0], [lat, lon, 0.0]])
         with pytest.raises(GeometryError, match="expected degrees"):
@@ -203,7 +204,7 @@ def test_points_far_from_the_campaign_that_fit_no_reading():
     utm, far = CRS("EPSG:25833"), np.array([[412_300.0, 5_762_000.0, 150.0]])
     away = near_world(far, MAP, utm, FRAME, "a")
     assert np.linalg.norm(away) == pytest.approx(111_000.0, rel=0.01)
-    np.testing.assert_array_equal(near_world(far, MAP, utm, FRAME, "a", farthest_m=113e3), away)
+    assert_array_equal(near_world(far, MAP, utm, FRAME, "a", farthest_m=113e3), away)
     with pytest.raises(GeometryError, match=r"marks about .*: 111 km from campaign\.origin; .*\. Look"):
         near_world(far, MAP, utm, FRAME, "a", what="marks", farthest_m=109e3, cure="Look")
     stray = np.array([[51.0, 13.75, 150.0], [51.0, 13.75, 150.0], [95.0, 13.75, 150.0]])

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from thalweg.core import (
@@ -38,7 +39,7 @@ def test_each_derivative_by_differences(rng):
     links, x = three_links(rng, 40), rng.normal(scale=20.0, size=(40, 3))
     chain = chain_derivatives(links, x)
     none = np.zeros((3, 6)), np.zeros(3)
-    np.testing.assert_allclose(chain.points_m, moved(links, x, *none), atol=1e-12)
+    assert_allclose(chain.points_m, moved(links, x, *none), atol=1e-12)
     step = 1e-5
     for i in range(3):
         for k in range(6):
@@ -46,11 +47,11 @@ def test_each_derivative_by_differences(rng):
             e[i, k] = step
             numeric = (moved(links, x, e, none[1]) - moved(links, x, -e, none[1])) / (2 * step)
             # central difference: step^2 / 6 * 50 m = 1e-9, rounding 1e-14 / step
-            np.testing.assert_allclose(chain.by_link[i][:, :, k], numeric, atol=1e-7)
+            assert_allclose(chain.by_link[i][:, :, k], numeric, atol=1e-7)
     for k in range(3):
         e = step * np.eye(3)[k]
         numeric = (moved(links, x, none[0], e) - moved(links, x, none[0], -e)) / (2 * step)
-        np.testing.assert_allclose(chain.by_point[:, :, k], numeric, atol=1e-7)
+        assert_allclose(chain.by_point[:, :, k], numeric, atol=1e-7)
 
 
 def test_covariance_agrees_with_draws_through_the_chain(rng):
@@ -68,7 +69,7 @@ def test_covariance_agrees_with_draws_through_the_chain(rng):
         many = many + draws[:, 6 * k : 6 * k + 3]
     scale = np.sqrt(np.outer(np.diag(predicted), np.diag(predicted)))
     # relative standard error of a variance from n draws: sqrt(2 / n) = 0.7 %; five of them
-    np.testing.assert_allclose(np.cov(many.T) / scale, predicted / scale, atol=0.035)
+    assert_allclose(np.cov(many.T) / scale, predicted / scale, atol=0.035)
 
 
 def test_small_changes_of_angles_are_rotation_vectors(rng):
@@ -81,18 +82,16 @@ def test_small_changes_of_angles_are_rotation_vectors(rng):
         for a, A in zip(angles, axes, strict=True):
             skew = (rotation_opk(*(a + e)) - rotation_opk(*(a - e))) / (2 * step) @ rotation_opk(*a).T
             # rounding: 1e-16 / step
-            np.testing.assert_allclose([skew[2, 1], skew[0, 2], skew[1, 0]], A[:, k], atol=1e-9)
+            assert_allclose([skew[2, 1], skew[0, 2], skew[1, 0]], A[:, k], atol=1e-9)
 
 
 def test_axes_of_a_beam(rng):
     beams = np.concatenate([rng.normal(size=(100, 3)), np.eye(3), -np.eye(3)])
     axes = beam_axes(beams)
-    np.testing.assert_allclose(axes @ np.swapaxes(axes, 1, 2), np.tile(np.eye(3), (106, 1, 1)), atol=1e-14)
-    np.testing.assert_allclose(np.linalg.det(axes), 1.0, atol=1e-14)
-    np.testing.assert_allclose(np.cross(axes[:, :, 0], beams), 0.0, atol=1e-14)
-    np.testing.assert_allclose(
-        cross_matrix(beams[:1])[0] @ beams[1], np.cross(beams[0], beams[1]), atol=1e-15
-    )
+    assert_allclose(axes @ np.swapaxes(axes, 1, 2), np.tile(np.eye(3), (106, 1, 1)), atol=1e-14)
+    assert_allclose(np.linalg.det(axes), 1.0, atol=1e-14)
+    assert_allclose(np.cross(axes[:, :, 0], beams), 0.0, atol=1e-14)
+    assert_allclose(cross_matrix(beams[:1])[0] @ beams[1], np.cross(beams[0], beams[1]), atol=1e-15)
 
 
 @pytest.mark.parametrize(

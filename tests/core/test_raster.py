@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rasterio
+from numpy.testing import assert_allclose, assert_array_equal
 from pyproj import CRS
 
 from thalweg.core import (
@@ -32,13 +33,13 @@ def test_written_read_and_read_by_others(tmp_path):
     again, bands, tags = read_raster(tmp_path / "a.tif")
     assert again == grid
     assert tags["kind"] == "bed"
-    np.testing.assert_array_equal(bands["height_m"].ravel(), height)
+    assert_array_equal(bands["height_m"].ravel(), height)
     with rasterio.open(tmp_path / "a.tif") as file:
         assert file.descriptions == ("height_m", "sigma_m")
         assert file.crs.to_epsg() == 25833
         places = grid.centres_m()
         found = np.array([v[0] for v in file.sample(places[:20].tolist())])
-    np.testing.assert_array_equal(found, height[:20].astype(np.float32))
+    assert_array_equal(found, height[:20].astype(np.float32))
     write_raster(tmp_path / "b.tif", grid, {"height_m": height, "sigma_m": height / 10}, tags={"kind": "bed"})
     assert (tmp_path / "a.tif").read_bytes() == (tmp_path / "b.tif").read_bytes()
 
@@ -48,7 +49,7 @@ def test_cells_of_places():
     row, column = grid.at(np.array([[10.5, 29.5], [17.9, 24.1], [9.9, 29.0], [12.0, 23.9]]))
     assert row.tolist() == [0, 2, -1, -1]
     assert column.tolist() == [0, 3, -1, -1]
-    np.testing.assert_array_equal(grid.at(grid.centres_m())[0], np.repeat([0, 1, 2], 4))
+    assert_array_equal(grid.at(grid.centres_m())[0], np.repeat([0, 1, 2], 4))
     around = Grid.around(np.array([[11.0, 21.5], [16.5, 29.0]]), 2.0, UTM, margin_m=0.5)
     assert around == Grid(west_m=10.0, north_m=30.0, cell_m=2.0, rows=5, columns=4, crs=UTM)
 
@@ -106,13 +107,13 @@ def test_cells_of_a_raster_of_heights_by_hand():
         [0, 0], [1, 2], [0.5, 0.5],
     ]  # fmt: skip
     within = np.array([[100.1, 47.1], [105.9, 44.1], [103.0, 46.9], [101.9, 49.9]])
-    np.testing.assert_array_equal(dsm.at(within), [1, 8, np.nan, 1])
+    assert_array_equal(dsm.at(within), [1, 8, np.nan, 1])
     beside = np.array([[99.9, 48.5], [106.1, 48.5], [101.0, 50.1], [101.0, 43.9]])
     assert np.isnan(dsm.at(beside)).all()
     places = np.array([[102.0, 48.5], [104.5, 48.5], [101.0, 47.75], [100.5, 48.5]])
     assert np.isnan(dsm.at(places, "bilinear")).all()  # beside the cell without a height
     whole = replace(dsm, height_m=np.array([[1.0, 2.0, 4.0], [3.0, 5.0, 8.0]]))
-    np.testing.assert_allclose(whole.at(places, "bilinear"), [1.5, 3.5, 1.5, np.nan])
+    assert_allclose(whole.at(places, "bilinear"), [1.5, 3.5, 1.5, np.nan])
 
 
 @pytest.mark.filterwarnings("ignore::PendingDeprecationWarning")
@@ -129,9 +130,9 @@ def test_a_bed_of_this_pipeline_is_read_with_its_sigmas_and_heights(tmp_path):
         return read_dsm(path)
 
     dsm = written(heights="EPSG:7837")
-    np.testing.assert_array_equal(dsm.height_m, height)
+    assert_array_equal(dsm.height_m, height)
     for found, factor in ((dsm.sigma_m, 1), (dsm.common_m, 2)):
-        np.testing.assert_array_equal(found, np.where(np.isfinite(height), factor * sigma, np.nan))
+        assert_array_equal(found, np.where(np.isfinite(height), factor * sigma, np.nan))
     assert dsm.frame.name == "ETRS89 / UTM zone 33N + DHHN2016 height"
     assert [part.to_epsg() for part in dsm.frame.sub_crs_list] == [25833, 7837]
     assert (dsm.corner_m.tolist(), dsm.cell_m.tolist()) == ([400_000.0, 5_600_000.0], [0.5, 0.5])
@@ -157,6 +158,6 @@ def test_rows_and_columns_may_run_either_way(tmp_path, east, north, code):
         file.write(np.ascontiguousarray(heights).astype(np.float32), 1)
     found = read_dsm(path)
     unit = 1.0 if code == 25833 else 1200 / 3937
-    np.testing.assert_allclose(found.corner_m, np.array([400_000.0, 900_000.0]) * unit, rtol=1e-12)
-    np.testing.assert_allclose(found.cell_m, np.array([2.0, 3.0]) * unit, rtol=1e-9)
-    np.testing.assert_array_equal(found.height_m, [[11.5, 12.5, 13.5], [21.5, 22.5, 23.5]])
+    assert_allclose(found.corner_m, np.array([400_000.0, 900_000.0]) * unit, rtol=1e-12)
+    assert_allclose(found.cell_m, np.array([2.0, 3.0]) * unit, rtol=1e-9)
+    assert_array_equal(found.height_m, [[11.5, 12.5, 13.5], [21.5, 22.5, 23.5]])

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from thalweg.core import GeometryError
 from thalweg.core.geometry import RayCaster
@@ -20,12 +21,12 @@ def test_slanting_rays_meet_a_plane_where_they_must(rng, shift):
     length = np.linalg.norm(way, axis=1)
     hits = caster.cast(origin + shift, way / length[:, None])
     # float32 resolves 0.5 um at 5 m; without the local origin the error at 5.6e6 m is 0.5 m.
-    np.testing.assert_allclose(hits.t_hit_m, length, atol=5e-6)
-    np.testing.assert_allclose(np.abs(hits.normal), [[0, 0, 1]] * 500, atol=1e-6)
+    assert_allclose(hits.t_hit_m, length, atol=5e-6)
+    assert_allclose(np.abs(hits.normal), [[0, 0, 1]] * 500, atol=1e-6)
     corners = SQUARE[FACES[hits.primitive]]
     u, v = hits.uv.T[:, :, None]
     at = corners[:, 0] * (1 - u - v) + corners[:, 1] * u + corners[:, 2] * v
-    np.testing.assert_allclose(at, target, atol=1e-5)
+    assert_allclose(at, target, atol=1e-5)
 
 
 def test_a_quarter_metre_survives_at_map_coordinates():
@@ -33,8 +34,8 @@ def test_a_quarter_metre_survives_at_map_coordinates():
     caster = RayCaster(SQUARE + UTM, FACES)
     nearest = caster.closest_points(UTM + np.array([[1.0, 2.0, 0.25], [-3.0, 2.0, -4.0]]))
     # 1e-6: float32 at 4 m.
-    np.testing.assert_allclose(nearest.distance_m, [0.25, 5.0], atol=1e-6)
-    np.testing.assert_allclose(nearest.point_m - UTM, [[1, 2, 0], [0, 2, 0]], atol=1e-5)
+    assert_allclose(nearest.distance_m, [0.25, 5.0], atol=1e-6)
+    assert_allclose(nearest.point_m - UTM, [[1, 2, 0], [0, 2, 0]], atol=1e-5)
 
 
 def test_misses_and_broken_rays_say_so():
@@ -75,6 +76,6 @@ def test_free_rays_are_those_that_meet_nothing(rng):
     directions = rng.standard_normal((400, 3))
     directions[7] = np.nan
     free = caster.free(origins, directions)
-    np.testing.assert_array_equal(free, np.isinf(caster.cast(origins, directions).t_hit_m))
+    assert_array_equal(free, np.isinf(caster.cast(origins, directions).t_hit_m))
     assert free[7]
     assert 0.1 < free.mean() < 0.95

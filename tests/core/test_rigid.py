@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from thalweg.core import GeometryError, Rigid, exp_rotation, opk_of, plane_rates, rotation_opk
 
@@ -46,24 +47,24 @@ def test_a_matrix_needs_its_last_row():
         Rigid.from_matrix(np.eye(4)[:3])
     cov = np.diag(np.arange(1.0, 7.0))
     again = Rigid.from_matrix(Rigid(R=TURN, shift_m=np.array([1.0, 2.0, 3.0])).matrix, cov)
-    np.testing.assert_allclose(again.apply([[1.0, 0.0, 0.0]]), [[1.0, 3.0, 3.0]], atol=1e-15)
-    np.testing.assert_array_equal(again.cov, cov)
+    assert_allclose(again.apply([[1.0, 0.0, 0.0]]), [[1.0, 3.0, 3.0]], atol=1e-15)
+    assert_array_equal(again.cov, cov)
 
 
 def test_sigmas_count_the_shift_first():
     """Variances 1, 4, 9 of the shift and 16, 25, 36 of the rotation."""
     T = Rigid(R=TURN, shift_m=np.zeros(3), cov=np.diag(np.square(np.arange(1.0, 7.0))))
-    np.testing.assert_allclose(T.sigma_shift_m, [1.0, 2.0, 3.0])
-    np.testing.assert_allclose(T.sigma_rotation_rad, [4.0, 5.0, 6.0])
+    assert_allclose(T.sigma_shift_m, [1.0, 2.0, 3.0])
+    assert_allclose(T.sigma_rotation_rad, [4.0, 5.0, 6.0])
 
 
 def test_an_error_is_put_on_in_the_target_frame_and_found_again():
     T = Rigid(R=TURN, shift_m=np.array([1.0, 2.0, 3.0]))
     error = np.array([0.1, 0.2, 0.3, 0.01, -0.02, 0.03])
-    np.testing.assert_allclose(T.moved(error).error_from(T), error, atol=1e-12)
+    assert_allclose(T.moved(error).error_from(T), error, atol=1e-12)
     # a turn about z of the target by a quarter: the x of the source, on y before, is on -x then
     quarter = T.moved([0.0, 0.0, 0.0, 0.0, 0.0, np.pi / 2])
-    np.testing.assert_allclose(quarter.apply([[1.0, 0.0, 0.0]]), [[0.0, 2.0, 3.0]], atol=1e-15)
+    assert_allclose(quarter.apply([[1.0, 0.0, 0.0]]), [[0.0, 2.0, 3.0]], atol=1e-15)
 
 
 def test_errors_of_the_inverse_and_of_a_product_by_differences():
@@ -80,41 +81,41 @@ def test_errors_of_the_inverse_and_of_a_product_by_differences():
             ((first @ second.moved(e)).error_from(first @ second), by_second),
         )
         for found, J in cases:
-            np.testing.assert_allclose(found / step, J[:, k], atol=2e-5)
+            assert_allclose(found / step, J[:, k], atol=2e-5)
     J, moved = first.by_error([[1.0, -2.0, 0.5]])[0], np.empty((3, 6))
     for k in range(6):
         there = first.moved(step * np.eye(6)[k]).apply([[1.0, -2.0, 0.5]])
         moved[:, k] = (there - first.apply([[1.0, -2.0, 0.5]]))[0] / step
-    np.testing.assert_allclose(moved, J, atol=2e-5)
+    assert_allclose(moved, J, atol=2e-5)
 
 
 def test_omega_phi_and_kappa_by_hand():
     """Omega of a quarter turns y to z, and with it the axis that phi turns about."""
     sigmas = np.array([1e-3, 2e-3, 3e-3, 1e-4, 2e-4, 3e-4])
     T = Rigid.from_opk([np.pi / 2, 0.0, 0.0], [1.0, 2.0, 3.0], np.diag(sigmas**2))
-    np.testing.assert_allclose(T.apply([[0.0, 1.0, 0.0]]), [[1.0, 2.0, 4.0]], atol=1e-15)
-    np.testing.assert_allclose(T.sigma_shift_m, [1e-3, 2e-3, 3e-3])
+    assert_allclose(T.apply([[0.0, 1.0, 0.0]]), [[1.0, 2.0, 4.0]], atol=1e-15)
+    assert_allclose(T.sigma_shift_m, [1e-3, 2e-3, 3e-3])
     # about x: omega; about y: kappa, whose axis z went to -y; about z: phi
-    np.testing.assert_allclose(T.sigma_rotation_rad, [1e-4, 3e-4, 2e-4])
+    assert_allclose(T.sigma_rotation_rad, [1e-4, 3e-4, 2e-4])
 
 
 def test_a_matrix_without_covariance_is_taken_as_certain():
-    np.testing.assert_array_equal(Rigid.from_matrix(np.eye(4)).cov, np.zeros((6, 6)))
-    np.testing.assert_array_equal(Rigid.from_opk([0.0, 0.0, 0.0], np.zeros(3)).cov, np.zeros((6, 6)))
+    assert_array_equal(Rigid.from_matrix(np.eye(4)).cov, np.zeros((6, 6)))
+    assert_array_equal(Rigid.from_opk([0.0, 0.0, 0.0], np.zeros(3)).cov, np.zeros((6, 6)))
 
 
 @pytest.mark.parametrize("omega", [-2.8, -0.4, 0.3, 2.1])
 @pytest.mark.parametrize("phi", [-1.5, -0.6, 0.2, 1.5])
 @pytest.mark.parametrize("kappa", [-3.0, -0.7, 0.9, 2.5])
 def test_omega_phi_and_kappa_come_back_in_every_quadrant(omega, phi, kappa):
-    np.testing.assert_allclose(opk_of(rotation_opk(omega, phi, kappa)), [omega, phi, kappa], atol=1e-13)
+    assert_allclose(opk_of(rotation_opk(omega, phi, kappa)), [omega, phi, kappa], atol=1e-13)
 
 
 @pytest.mark.parametrize(("phi", "sign"), [(np.pi / 2, 1.0), (-np.pi / 2, -1.0)])
 def test_upright_omega_and_kappa_are_one_angle_and_kappa_has_it(phi, sign):
     """Where phi is 90 degrees both turn about the same axis: kappa + omega counts, at -90 kappa - omega."""
     found = opk_of(rotation_opk(0.4, phi, 1.1))
-    np.testing.assert_allclose(found, [0.0, phi, 1.1 + sign * 0.4], atol=1e-12)
+    assert_allclose(found, [0.0, phi, 1.1 + sign * 0.4], atol=1e-12)
 
 
 @pytest.mark.parametrize("sigma", [1e-4, 100.0])
@@ -127,7 +128,7 @@ def test_rounding_of_a_covariance_is_measured_by_its_sigmas(sigma, share, refuse
         with pytest.raises(GeometryError, match="no covariance matrix"):
             Rigid(R=TURN, shift_m=np.zeros(3), cov=cov)
     else:
-        np.testing.assert_array_equal(Rigid(R=TURN, shift_m=np.zeros(3), cov=cov).cov, cov)
+        assert_array_equal(Rigid(R=TURN, shift_m=np.zeros(3), cov=cov).cov, cov)
 
 
 def test_the_inverse_of_the_identity_has_the_same_covariance():
@@ -160,9 +161,9 @@ def test_the_covariance_of_a_product_is_that_of_two_independent_errors():
         J[:, k] = ((one.moved(e) @ two).error_from(both)) / step
         J[:, 6 + k] = ((one @ two.moved(e)).error_from(both)) / step
     expected = J[:, :6] @ one.cov @ J[:, :6].T + J[:, 6:] @ two.cov @ J[:, 6:].T
-    np.testing.assert_allclose(both.cov, expected, atol=1e-5 * np.abs(expected).max())
+    assert_allclose(both.cov, expected, atol=1e-5 * np.abs(expected).max())
 
 
 def test_many_rotations_are_each_of_them():
     vectors = np.array([[0.0, 0.0, 0.0], [1e-5, -2e-5, 0.0], [0.3, -2.0, 1.1]])
-    np.testing.assert_allclose(exp_rotation(vectors), [exp_rotation(v) for v in vectors], atol=1e-14)
+    assert_allclose(exp_rotation(vectors), [exp_rotation(v) for v in vectors], atol=1e-14)

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
 from thalweg.core import (
@@ -49,7 +50,7 @@ def test_the_covariance_between_nodes_is_an_upper_bound(correlation):
         # 3e8 s in float64 steps by 6e-8 s: u is known to 6e-7
         assert slack[0] > -1e-5 * np.trace(stated)
         if u in (0.0, 1.0):
-            np.testing.assert_allclose(stated, true, rtol=1e-5, atol=1e-5)
+            assert_allclose(stated, true, rtol=1e-5, atol=1e-5)
 
 
 def test_sigmas_of_roll_pitch_and_heading_come_back(rng):
@@ -60,14 +61,14 @@ def test_sigmas_of_roll_pitch_and_heading_come_back(rng):
     cov = np.zeros((n, 6, 6))
     cov[:, 3:, 3:] = axes @ np.swapaxes(axes, 1, 2)
     trajectory = replace(turning(n), quaternion_wcs_ics=Rotation.from_matrix(R).as_quat(), cov_pose_wcs=cov)
-    np.testing.assert_allclose(trajectory.sigma_roll_pitch_heading_rad(), sigma, rtol=1e-9)
+    assert_allclose(trajectory.sigma_roll_pitch_heading_rad(), sigma, rtol=1e-9)
 
 
 def test_rates_are_those_of_the_motion():
     velocity, rate = turning().rates()
-    np.testing.assert_allclose(velocity, np.tile([0.4, 0, 0], (49, 1)), atol=1e-6)
+    assert_allclose(velocity, np.tile([0.4, 0, 0], (49, 1)), atol=1e-6)
     # clockwise from above: about down; stamps of 3e8 s resolve 6e-8 s of 0.1 s
-    np.testing.assert_allclose(rate, np.tile([0, 0, -np.deg2rad(7.0)], (49, 1)), atol=1e-6)
+    assert_allclose(rate, np.tile([0, 0, -np.deg2rad(7.0)], (49, 1)), atol=1e-6)
 
 
 def test_everything_survives_the_file(tmp_path, rng):
@@ -80,7 +81,7 @@ def test_everything_survives_the_file(tmp_path, rng):
     assert np.abs(error).max() < 1e-14
     still = replace(trajectory, cov_pose_wcs=np.zeros((50, 6, 6)))  # no error at all has no correlation
     still.write(tmp_path / "zero.parquet")
-    np.testing.assert_array_equal(Trajectory.read(tmp_path / "zero.parquet").cov_pose_wcs, 0.0)
+    assert_array_equal(Trajectory.read(tmp_path / "zero.parquet").cov_pose_wcs, 0.0)
 
 
 def test_what_is_refused():
@@ -160,10 +161,10 @@ def test_poses_between_nodes_by_hand():
     t = np.array([-0.5, 0.0, 0.25, 1.0, 1.75, 2.0, 2.5])
     position, R, inside = some.at(t)
     assert inside.tolist() == [False, True, True, True, True, True, False]
-    np.testing.assert_allclose(position[1:6, 0], [0.0, 0.1, 0.4, 0.7, 0.8], atol=1e-15)
+    assert_allclose(position[1:6, 0], [0.0, 0.1, 0.4, 0.7, 0.8], atol=1e-15)
     heading = np.arctan2(R[1:6, 0, 0], R[1:6, 1, 0])
     # roll and pitch of a hundredth change the direction of the arc by as much squared
-    np.testing.assert_allclose(np.rad2deg(heading), [0.0, 1.75, 7.0, 12.25, 14.0], atol=0.01)
+    assert_allclose(np.rad2deg(heading), [0.0, 1.75, 7.0, 12.25, 14.0], atol=0.01)
 
 
 def test_quaternions_of_neighbours_are_on_the_same_side():
@@ -171,14 +172,14 @@ def test_quaternions_of_neighbours_are_on_the_same_side():
     whole = turning(6, 1.0)
     q = whole.quaternion_wcs_ics
     mixed = replace(whole, quaternion_wcs_ics=q * np.array([1, -1, -1, 1, -1, 1])[:, None])
-    np.testing.assert_allclose(mixed.quaternion_wcs_ics, q)
+    assert_allclose(mixed.quaternion_wcs_ics, q)
 
 
 def test_sigmas_of_each_node_are_the_roots_of_its_variances():
     trajectory = turning(2)
     first, second = np.square([2.0, 3.0, 4.0, 0.1, 0.2, 0.3]), np.square([5.0, 6.0, 7.0, 0.4, 0.5, 0.6])
     trajectory = replace(trajectory, cov_pose_wcs=np.stack([np.diag(first), np.diag(second)]))
-    np.testing.assert_allclose(trajectory.sigma_position_m, [[2.0, 3.0, 4.0], [5.0, 6.0, 7.0]])
+    assert_allclose(trajectory.sigma_position_m, [[2.0, 3.0, 4.0], [5.0, 6.0, 7.0]])
 
 
 def test_between_an_invalid_node_and_a_valid_one_there_is_no_pose():

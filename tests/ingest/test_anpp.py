@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from tests.ingest.writers import anpp, files_of
 from thalweg.core import gps_from_unix, read_table, write_table
@@ -45,7 +46,7 @@ def test_state_with_utc_is_on_the_gps_axis(tmp_path):
     log = read(tmp_path, b"".join(state(k * 100_000) for k in range(5)))
     t = log.states["t_gps_s"].to_numpy()
     # 60 ns is the resolution of adjusted GPS time in float64
-    np.testing.assert_allclose(t, 178_649_913.0 + np.arange(5) * 0.1, atol=6e-8)
+    assert_allclose(t, 178_649_913.0 + np.arange(5) * 0.1, atol=6e-8)
     row = log.states.iloc[0]
     assert row["lat_deg"] == np.rad2deg(0.9)
     assert row["v_down_mps"] == 0.125
@@ -100,7 +101,7 @@ def test_before_utc_there_is_no_gps_time(tmp_path):
     log = read(tmp_path, data)
     assert log.states["t_gps_s"].isna().tolist() == [True] * 3 + [False] * 4
     assert log.depths["t_gps_s"].isna().tolist() == [True] * 3 + [False] * 4
-    np.testing.assert_allclose(log.states["t_device_s"][:3], [0.0, 0.1, 0.2], atol=1e-15)  # last bit
+    assert_allclose(log.states["t_device_s"][:3], [0.0, 0.1, 0.2], atol=1e-15)  # last bit
     assert log.report.synchronised
     assert not log.report.gaps  # setting the clock is no gap
     assert any("3 of 7 states carry no valid UTC" in note for note in log.report.notes)
@@ -116,7 +117,7 @@ def test_a_packet_takes_the_time_of_the_state_before_it(tmp_path):
     data = depth(0) + b"".join(state(k * 50_000) + depth(k + 1) for k in range(4))
     log = read(tmp_path, data)
     assert np.isnan(log.depths["t_gps_s"][0])
-    np.testing.assert_array_equal(log.depths["t_gps_s"][1:], log.states["t_gps_s"])
+    assert_array_equal(log.depths["t_gps_s"][1:], log.states["t_gps_s"])
     assert log.depths["depth_m"].tolist() == [0, 1, 2, 3, 4]
 
 
@@ -128,8 +129,8 @@ def test_orientation_sigmas_come_from_the_nearest_packet_26(tmp_path):
             data += anpp(26, struct.pack("<3f", 0.01 + k, 0.02 + k, 0.03 + k))
     log = read(tmp_path, data + state(60_000_000))
     got = log.states["sigma_heading_rad"].to_numpy()
-    np.testing.assert_array_equal(got[:3], np.float64(np.float32(0.03)))
-    np.testing.assert_array_equal(got[3:10], np.float64(np.float32(4.03)))
+    assert_array_equal(got[:3], np.float64(np.float32(0.03)))
+    assert_array_equal(got[3:10], np.float64(np.float32(4.03)))
     assert np.isnan(got[10])  # a minute later that packet says nothing any more
 
 
@@ -158,7 +159,7 @@ def test_depths(tmp_path):
     packets = [depth(value) for value in (2.5, float("nan"), 3.5)]
     log = read(tmp_path, state(0) + packets[0] + state(1_000_000) + packets[1] + packets[2])
     assert log.depths["depth_m"].tolist() == [2.5, 3.5]
-    np.testing.assert_array_equal(log.depths["t_gps_s"], log.states["t_gps_s"])
+    assert_array_equal(log.depths["t_gps_s"], log.states["t_gps_s"])
     assert log.depths["line"].tolist() == [2, 5]
     assert log.depths["sentence"].tolist() == ["ANPP53", "ANPP53"]
     assert log.report.losses == {"depths_not_a_number": 1}
@@ -196,7 +197,7 @@ def test_files_that_overlap_are_joined_once(tmp_path):
     whole = read(tmp_path, one + b"".join(epochs[20:]))
     for name in ("states", "positions", "depths"):
         got, want = getattr(log, name), getattr(whole, name)
-        np.testing.assert_array_equal(got["t_gps_s"], want["t_gps_s"])
+        assert_array_equal(got["t_gps_s"], want["t_gps_s"])
     assert log.report.counts["repeated_packets_dropped"] == 15
     assert not log.report.losses
     assert log.report.details["packets by id"]["20 system state"] == 35
@@ -206,10 +207,10 @@ def test_an_overlap_that_begins_between_state_and_depth(tmp_path):
     epochs = [state(k * 100_000) + depth(k) for k in range(30)]
     log = read(tmp_path, b"".join(epochs[:20]), depth(14) + b"".join(epochs[15:]))
     assert log.depths["depth_m"].tolist() == list(range(30))
-    np.testing.assert_array_equal(log.depths["t_gps_s"], log.states["t_gps_s"])
+    assert_array_equal(log.depths["t_gps_s"], log.states["t_gps_s"])
     # without overlap the same packet belongs to the last state of the file before
     log = read(tmp_path, b"".join(epochs[:20])[: -len(depth())], depth(19) + b"".join(epochs[20:]))
-    np.testing.assert_array_equal(log.depths["t_gps_s"], log.states["t_gps_s"])
+    assert_array_equal(log.depths["t_gps_s"], log.states["t_gps_s"])
     assert log.report.clean
 
 

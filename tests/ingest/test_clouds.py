@@ -6,6 +6,7 @@ import laspy
 import numpy as np
 import pye57
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from plyfile import PlyData, PlyElement
 from pyproj import CRS
 
@@ -80,11 +81,11 @@ def test_ply_as_plyfile_reads_it(tmp_path, order, text, single):
     for axis, name in enumerate("xyz"):
         if text and single:
             # ours takes the digits as doubles, plyfile rounds them to float32: 50 m x 2^-24
-            np.testing.assert_allclose(cloud.points[:, axis], theirs[name], atol=4e-6)
+            assert_allclose(cloud.points[:, axis], theirs[name], atol=4e-6)
         else:
-            np.testing.assert_array_equal(cloud.points[:, axis], theirs[name])
-    np.testing.assert_array_equal(cloud.rgb[:, 0], theirs["red"])
-    np.testing.assert_array_equal(cloud.intensity, theirs["intensity"])
+            assert_array_equal(cloud.points[:, axis], theirs[name])
+    assert_array_equal(cloud.rgb[:, 0], theirs["red"])
+    assert_array_equal(cloud.intensity, theirs["intensity"])
     assert cloud.crs is None
     assert cloud.report.losses == {}
     assert any("2 elements 'face'" in note for note in cloud.report.notes)
@@ -95,7 +96,7 @@ def test_ply_float_colours(tmp_path):
     head += "property float red\nproperty float green\nproperty float blue\nend_header\n"
     (tmp_path / "a.ply").write_text(head + "1 2 3 0 0.5 1\n4 5 6 1 1 1\n")
     rgb = read_cloud(tmp_path / "a.ply").rgb
-    np.testing.assert_array_equal(rgb, [[0, 128, 255], [255, 255, 255]])
+    assert_array_equal(rgb, [[0, 128, 255], [255, 255, 255]])
 
 
 def test_ply_map_coordinates_in_single_precision_are_said(tmp_path):
@@ -143,7 +144,7 @@ def test_points_not_finite_are_dropped_and_counted(tmp_path):
     PlyData([PlyElement.describe(vertex, "vertex")], byte_order="<").write(str(tmp_path / "a.ply"))
     cloud = read_cloud(tmp_path / "a.ply")
     assert cloud.report.losses == {"points_not_finite": 2}
-    np.testing.assert_array_equal(cloud.intensity, [0, 1, 2, 4, 5, 6, 8, 9])
+    assert_array_equal(cloud.intensity, [0, 1, 2, 4, 5, 6, 8, 9])
 
 
 @pytest.mark.parametrize("text", [True, False])
@@ -156,7 +157,7 @@ def test_cut_ply_keeps_whole_vertices(tmp_path, text):
     lost = sum(cloud.report.losses.values())
     assert 400 < lost < 600
     assert len(cloud.points) + lost == N
-    np.testing.assert_array_equal(cloud.points, points()[: len(cloud.points)])
+    assert_array_equal(cloud.points, points()[: len(cloud.points)])
 
 
 @pytest.mark.parametrize(("version", "point_format"), [("1.2", 3), ("1.4", 7)])
@@ -165,8 +166,8 @@ def test_las_of_others(tmp_path, version, point_format, suffix):
     path = tmp_path / f"a.{suffix}"
     write_las(path, version, point_format)
     cloud = read_cloud(path)
-    np.testing.assert_allclose(cloud.points, points(), atol=1e-9)  # whole millimetres
-    np.testing.assert_array_equal(cloud.rgb[:, 1], np.arange(N) * 60 // 256)
+    assert_allclose(cloud.points, points(), atol=1e-9)  # whole millimetres
+    assert_array_equal(cloud.rgb[:, 1], np.arange(N) * 60 // 256)
     assert cloud.crs.to_epsg() == 25833
     # laspy writes week time unless told otherwise
     assert cloud.t_gps_s is None
@@ -179,7 +180,7 @@ def test_own_laz_returns_its_frame_and_time(tmp_path):
     cloud = read_cloud(tmp_path / "a.laz")
     assert cloud.frame == FRAME
     assert cloud.crs.is_engineering
-    np.testing.assert_array_equal(cloud.t_gps_s, np.arange(N) + 1.8e8)
+    assert_array_equal(cloud.t_gps_s, np.arange(N) + 1.8e8)
     assert cloud.report.synchronised
 
 
@@ -192,7 +193,7 @@ def test_cut_laz_keeps_its_whole_chunks(tmp_path):
     path.write_bytes(raw[: int(0.9 * len(raw))])
     cloud = read_cloud(path)
     assert len(cloud.points) == 100_000
-    np.testing.assert_allclose(cloud.points, xyz[:100_000], atol=1e-9)
+    assert_allclose(cloud.points, xyz[:100_000], atol=1e-9)
     assert cloud.report.losses == {"points_missing": 20_000}
     path.write_bytes(raw[: int(0.2 * len(raw))])
     with pytest.raises(InputError, match="chunk table should be at byte"):
@@ -216,11 +217,11 @@ def test_e57_scans_are_moved_by_their_poses(tmp_path):
     second = points(seed=1)
     expected = np.stack([-second[:, 1] + 100, second[:, 0], second[:, 2] + 5], axis=-1)
     # pye57 writes coordinates in single precision: 50 m x 2^-24
-    np.testing.assert_allclose(cloud.points, np.concatenate([points(seed=0), expected]), rtol=0, atol=4e-6)
+    assert_allclose(cloud.points, np.concatenate([points(seed=0), expected]), rtol=0, atol=4e-6)
     theirs = pye57.E57(str(path)).read_scan(1, intensity=True, colors=True, ignore_missing_fields=True)
-    np.testing.assert_allclose(cloud.points[N:, 0], theirs["cartesianX"], atol=1e-12)
-    np.testing.assert_array_equal(cloud.rgb[N:, 2], theirs["colorBlue"])
-    np.testing.assert_array_equal(cloud.intensity[N:], theirs["intensity"])
+    assert_allclose(cloud.points[N:, 0], theirs["cartesianX"], atol=1e-12)
+    assert_array_equal(cloud.rgb[N:, 2], theirs["colorBlue"])
+    assert_array_equal(cloud.intensity[N:], theirs["intensity"])
     assert cloud.report.counts["scans"] == 2
 
 

@@ -10,6 +10,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.testing import assert_allclose
 from pyproj import CRS, Transformer
 
 from thalweg.bathymetry import read_columns, read_line, read_soundings
@@ -350,7 +351,7 @@ def test_fuzz_of_tables_with_one_result(name, how, tmp_path):
         assert found.shape == right.shape, how
         # without a stated system degrees come onto WGS 84, whose ellipsoid is 0.1 mm longer at the pole
         shape_m = 2e-4 if how.startswith("degrees") and name in UNTOLD else 1e-6
-        np.testing.assert_allclose(found, right, rtol=0, atol=shape_m)
+        assert_allclose(found, right, rtol=0, atol=shape_m)
 
 
 @pytest.mark.parametrize(("how", "name"), [(h, n) for h, n in pairs(REFUSED) if n != "marks"])
@@ -399,5 +400,5 @@ def test_fuzz_of_two_changes_at_once(tmp_path):
         assert found.shape == right.shape, (name, first, second)
         # both forms are written with six decimals of their unit, one after the other
         atol = 2e-4 if name in UNTOLD else 4e-6
-        np.testing.assert_allclose(found, right, rtol=0, atol=atol, err_msg=f"{name}: {first}, {second}")
+        assert_allclose(found, right, rtol=0, atol=atol, err_msg=f"{name}: {first}, {second}")
     assert refused < 15 * DRAWS

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from PIL import Image
 
 from thalweg.core import ClockError, InputError, gps_from_unix, read_table, write_table
@@ -122,7 +123,7 @@ def test_a_folder_of_names_in_ms(tmp_path):
     found = read_image_stamps(tmp_path)
     expected = T0 + np.arange(5) + 0.1 + 0.001 * np.arange(5)
     # 3e-7 s: a Unix time in float64
-    np.testing.assert_allclose(found.table["t_device_s"], expected, atol=3e-7)
+    assert_allclose(found.table["t_device_s"], expected, atol=3e-7)
     assert set(found.table["source"]) == {"name"}
     assert found.report.clean
     assert found.report.model == "Panasonic DMC-GX80"
@@ -198,7 +199,7 @@ def test_a_table_of_times(tmp_path):
         "file,time_utc\na.jpg,2021-05-12T08:31:07.125Z\nb.jpg,2021-05-12T10:31:08.5+02:00\nd.jpg,2021-05-12T08:31:09Z\n"
     )
     found = read_image_stamps(list_images(tmp_path), times=tmp_path / "times.csv")
-    np.testing.assert_allclose(found.table["t_device_s"][:2], [T0 + 0.125, T0 + 1.5], atol=3e-7)
+    assert_allclose(found.table["t_device_s"][:2], [T0 + 0.125, T0 + 1.5], atol=3e-7)
     assert found.report.losses == {"table_rows_without_image": 1, "images_without_time": 1}
     (tmp_path / "gps.csv").write_text(f"file;t_gps_s\na.jpg;{T0 + 0.5}\n")
     stamp = read_time_table(tmp_path / "gps.csv")["a.jpg"]

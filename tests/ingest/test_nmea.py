@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from pynmeagps import NMEAReader
 
 from tests.ingest.writers import nmea, read_or_refused
@@ -107,7 +108,7 @@ def test_same_values_as_pynmeagps(data_dir, name):
             epochs[-1] = (time, rank, where)
     theirs = np.array([where for _, _, where in epochs])
     # pynmeagps rounds to 10 digits
-    np.testing.assert_allclose(log.positions[["lat_deg", "lon_deg"]], theirs, rtol=0, atol=1e-10)
+    assert_allclose(log.positions[["lat_deg", "lon_deg"]], theirs, rtol=0, atol=1e-10)
 
 
 def gpsd_reports(path: Path) -> list[dict]:
@@ -172,8 +173,8 @@ def test_depths_of_all_sentences(tmp_path):
     text += nmea("SDDBT,,f,,M,1.0,F") + nmea("SDDPT,,") + nmea("SDDPT,4.0,")
     log = log_of(tmp_path, text)
     # metres first, then feet (0.3048 m), then fathoms (1.8288 m)
-    np.testing.assert_allclose(log.depths["depth_m"], [5.3, 2.3, 3.048, 1.8288, 4.0], rtol=1e-15)
-    np.testing.assert_array_equal(log.depths["offset_m"], [-0.4, np.nan, np.nan, np.nan, np.nan])
+    assert_allclose(log.depths["depth_m"], [5.3, 2.3, 3.048, 1.8288, 4.0], rtol=1e-15)
+    assert_array_equal(log.depths["offset_m"], [-0.4, np.nan, np.nan, np.nan, np.nan])
     assert list(log.depths["sentence"]) == ["DPT", "DBT", "DBS", "DBT", "DPT"]
     assert log.report.counts["empty_depths"] == 1
     assert not log.report.synchronised
@@ -206,9 +207,9 @@ def test_a_lone_depth_takes_the_time_before_it(tmp_path):
     dpt = nmea("SDDPT,5.3,0.4")
     text = dpt + nmea(RMC.format("094736", "200818")) + dpt + nmea(GGA.format("094737")) + dpt
     log = log_of(tmp_path, text)
-    np.testing.assert_array_equal(log.depths["t_day_s"], [np.nan, 35256.0, 35257.0])
+    assert_array_equal(log.depths["t_day_s"], [np.nan, 35256.0, 35257.0])
     second = log.depths["t_gps_s"] - gps(2018, 8, 20, 9, 47, 36)
-    np.testing.assert_array_equal(second, [np.nan, 0.0, 1.0])
+    assert_array_equal(second, [np.nan, 0.0, 1.0])
 
 
 @pytest.mark.parametrize("given", [dt.date(2018, 8, 20), None])
@@ -219,8 +220,8 @@ def test_midnight(tmp_path, given):
         text += nmea("GPZDA,000001,21,08,2018,00,00")
     log = log_of(tmp_path, text, given)
     expected = gps(2018, 8, 20, 23, 59, 58) + np.arange(4)
-    np.testing.assert_array_equal(log.positions["t_gps_s"], expected)
-    np.testing.assert_array_equal(log.depths["t_gps_s"], expected)
+    assert_array_equal(log.positions["t_gps_s"], expected)
+    assert_array_equal(log.depths["t_gps_s"], expected)
     assert "time_steps_back" not in log.report.losses
 
 
@@ -228,7 +229,7 @@ def test_late_sentence_of_the_old_day(tmp_path):
     text = nmea(GGA.format("235959")) + nmea(GGA.format("000000.2")) + nmea(GGA.format("235959.9"))
     log = log_of(tmp_path, text + nmea(GGA.format("000001")), dt.date(2018, 8, 20))
     seconds = log.positions["t_gps_s"] - gps(2018, 8, 20, 23, 59, 59)
-    np.testing.assert_allclose(seconds, [0.0, 1.2, 0.9, 2.0], atol=1e-6)  # float64 at 1e8 s: 3e-8
+    assert_allclose(seconds, [0.0, 1.2, 0.9, 2.0], atol=1e-6)  # float64 at 1e8 s: 3e-8
 
 
 def test_first_sentence_after_days_switched_off_gets_the_new_date(tmp_path):
@@ -272,7 +273,7 @@ def test_line_endings(tmp_path, ending):
 def test_prefixes_of_loggers(tmp_path, prefix, t_host_s):
     text = f"{prefix}{nmea('SDDPT,5.3,0.4')}" * 2
     log = log_of(tmp_path, text)
-    np.testing.assert_array_equal(log.depths["t_host_s"], [t_host_s, t_host_s])
+    assert_array_equal(log.depths["t_host_s"], [t_host_s, t_host_s])
     assert log.report.counts["prefixed_sentences"] == 2
     assert log.report.losses == {}
 
@@ -285,7 +286,7 @@ def test_rubbish_is_survived_and_counted(tmp_path):
     absent = b"$SDDPT,7.7,0.4\r\n"
     malformed = nmea("SDDPT,x,0.4").encode() + nmea(GGA.format("256136")).encode()
     log = log_of(tmp_path, good + cut + good + wrong + rubbish + absent + malformed + good)
-    np.testing.assert_array_equal(log.depths["depth_m"], [5.3, 5.3, 5.3])
+    assert_array_equal(log.depths["depth_m"], [5.3, 5.3, 5.3])
     assert log.report.losses == {
         "bad_checksum": 1,
         "without_checksum": 2,
@@ -307,8 +308,8 @@ def test_chunks_do_not_cut_sentences(tmp_path, monkeypatch):
     text = "".join(nmea(f"SDDPT,{i % 97}.25,0.4") for i in range(n))
     log = log_of(tmp_path, text)
     assert log.report.clean
-    np.testing.assert_array_equal(log.depths["depth_m"], np.arange(n) % 97 + 0.25)
-    np.testing.assert_array_equal(log.depths["line"], np.arange(1, n + 1))
+    assert_array_equal(log.depths["depth_m"], np.arange(n) % 97 + 0.25)
+    assert_array_equal(log.depths["line"], np.arange(1, n + 1))
 
 
 def overlapping_logs(tmp_path: Path, seconds: list[str], date: str, cuts: tuple[int, int]) -> list[Path]:

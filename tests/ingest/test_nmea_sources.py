@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from tests.ingest.writers import nmea
 from thalweg.core import InputError, gps_from_unix
@@ -62,7 +63,7 @@ def test_a_receiver_without_a_fix_gives_no_date_and_no_time(tmp_path):
     again = "".join(gga(START + i) + rmc(START + i) + nmea(DEPTH) for i in range(300, 320))
     log = read(tmp_path, cold + run + cold + again)
     late = np.r_[np.full(10, np.nan), np.arange(20), np.full(10, np.nan), np.arange(300, 320)]
-    np.testing.assert_allclose(since_start(log), late, atol=1e-6)
+    assert_allclose(since_start(log), late, atol=1e-6)
     assert log.report.losses == {"depths_without_time": 20}
     assert noted(log, "20 depths", "before the receiver knew")
 
@@ -86,7 +87,7 @@ def test_a_week_counter_that_rolled_over_is_named_and_put_right_if_stated(tmp_pa
     assert log.report.losses == {"dates_off_by_1024_weeks": 20}
     right = read(tmp_path, text, dt.date(2024, 6, 12))
     assert not right.report.losses
-    np.testing.assert_allclose(since_start(right), np.arange(20) + 0.1, atol=1e-6)
+    assert_allclose(since_start(right), np.arange(20) + 0.1, atol=1e-6)
     assert noted(right, "1024 weeks", "put right")
 
 
@@ -114,7 +115,7 @@ def test_the_better_of_two_receivers_is_taken(tmp_path):
         for i in range(20)
     )
     log = read(tmp_path, text + rmc(START + 20))
-    np.testing.assert_allclose(log.positions["lat_deg"], 51.05, atol=1e-9)
+    assert_allclose(log.positions["lat_deg"], 51.05, atol=1e-9)
     assert len(log.positions) == 21
     assert set(log.positions["sigma_up_m"].dropna()) == {0.04}
     assert log.report.counts["positions_of_other_receivers"] == 20
@@ -123,7 +124,7 @@ def test_the_better_of_two_receivers_is_taken(tmp_path):
 
 def test_two_receivers_of_one_talker_are_told_apart(tmp_path):
     log = read(tmp_path, "".join(gga(START + i, "GP", 1, 4.0) + gga(START + i) for i in range(9)))
-    np.testing.assert_allclose(log.positions["lat_deg"], 51.05, atol=1e-9)
+    assert_allclose(log.positions["lat_deg"], 51.05, atol=1e-9)
     assert noted(log, "4.0 m")
 
 
@@ -166,7 +167,7 @@ def test_fast_pings_are_spread_between_the_times(tmp_path, silent):
         for i in range(40)
     )
     log = read(tmp_path, text)
-    np.testing.assert_allclose(since_start(log), (np.arange(400) + 0.5) / 10, atol=1e-6)
+    assert_allclose(since_start(log), (np.arange(400) + 0.5) / 10, atol=1e-6)
     assert log.report.details["sigma_depth_time_s"] == pytest.approx(0.1 / np.sqrt(12), abs=1e-4)
 
 
@@ -180,7 +181,7 @@ def test_stamps_of_the_logger_time_the_pings(tmp_path):
     )
     log = read(tmp_path, text)
     expected = (np.arange(20)[:, None] + [0.03, 0.13, 0.63]).ravel()
-    np.testing.assert_allclose(since_start(log), expected, atol=1e-5)
+    assert_allclose(since_start(log), expected, atol=1e-5)
     assert noted(log, "logger's clock", "a time zone")
 
 
@@ -279,8 +280,8 @@ def test_traits_of_reports(data_dir, trait, words):
     assert log.report.t_first_s == float(gps_from_unix(DAY + START))
     assert (log.report.t_last_s or 0.0) - log.report.t_first_s == pytest.approx(119.5, abs=0.5)
     assert len(log.positions) == 120
-    np.testing.assert_allclose(log.positions["lat_deg"], 51.05, atol=1e-9)
-    np.testing.assert_allclose(log.positions["h_ell_m"], 155.0, atol=1e-9)
+    assert_allclose(log.positions["lat_deg"], 51.05, atol=1e-9)
+    assert_allclose(log.positions["h_ell_m"], 155.0, atol=1e-9)
     assert set(log.positions["fix"]) == {"fixed"}
     as_read = read_nmea([path])
     assert not words or noted(as_read, words)

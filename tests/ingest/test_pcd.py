@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 
 from thalweg.core import InputError
 from thalweg.ingest.clouds import read_cloud
@@ -31,9 +32,9 @@ def written(tmp_path: Path, text: str) -> Path:
 
 def test_points_and_fields(tmp_path):
     cloud = read_cloud(written(tmp_path, HEAD + BODY))
-    np.testing.assert_array_equal(cloud.points, [[1.5, 2, 3], [-1, 0.5, 2.25]])
-    np.testing.assert_array_equal(cloud.intensity, [10, 20])
-    np.testing.assert_array_equal(cloud.ring, [0, 8])
+    assert_array_equal(cloud.points, [[1.5, 2, 3], [-1, 0.5, 2.25]])
+    assert_array_equal(cloud.intensity, [10, 20])
+    assert_array_equal(cloud.ring, [0, 8])
     assert cloud.report.losses == {"points_not_finite": 1}
 
 
@@ -53,9 +54,9 @@ def test_the_binary_form_with_padding_is_read_alike(tmp_path):
     path = tmp_path / "a.pcd"
     path.write_bytes(head.encode() + rows.tobytes())
     cloud = read_cloud(path)
-    np.testing.assert_array_equal(cloud.points, [[1.5, 2, 3], [-1, 0.5, 2.25]])
-    np.testing.assert_array_equal(cloud.intensity, [10, 20])
-    np.testing.assert_array_equal(cloud.ring, [0, 8])
+    assert_array_equal(cloud.points, [[1.5, 2, 3], [-1, 0.5, 2.25]])
+    assert_array_equal(cloud.intensity, [10, 20])
+    assert_array_equal(cloud.ring, [0, 8])
     path.write_bytes(head.encode() + rows.tobytes()[:-1])
     assert read_cloud(path).report.losses == {"points_missing": 1}
 
@@ -72,7 +73,7 @@ def test_the_binary_form_with_padding_is_read_alike(tmp_path):
 def test_what_is_missing_or_damaged_is_counted(tmp_path, text, losses):
     cloud = read_cloud(written(tmp_path, text))
     assert cloud.report.losses == losses
-    np.testing.assert_array_equal(cloud.points[0], [1.5, 2, 3])
+    assert_array_equal(cloud.points[0], [1.5, 2, 3])
 
 
 @pytest.mark.parametrize(

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from thalweg.core import InputError, gps_from_unix, write_table
 from thalweg.ingest import DEPTH, GNSS_POSITION, INS_STATE
@@ -28,7 +29,7 @@ def test_positions_inside_ins_states(tmp_path):
     assert report.stream == "positions"
     assert report.synchronised
     assert (report.t_first_s, report.t_last_s) == (3e8, 3e8 + 4)
-    np.testing.assert_array_equal(table["lat_deg"], np.arange(5.0))
+    assert_array_equal(table["lat_deg"], np.arange(5.0))
     write_table(tmp_path / "positions.parquet", table, GNSS_POSITION)
 
 
@@ -50,7 +51,7 @@ def test_an_indefinite_covariance_does_not_pass(tmp_path):
     table, report = read_positions("pos", [path], states=tmp_path / "x", **NOTHING)
     assert report.counts["covariances_replaced"] == 1
     assert table["cov_en_m2"].abs().max() < 1e-6
-    np.testing.assert_allclose(positions_from_states(states())["sigma_up_m"], np.arange(5.0))
+    assert_allclose(positions_from_states(states())["sigma_up_m"], np.arange(5.0))
 
 
 def test_of_tracks_of_the_same_time_the_best_is_taken(tmp_path):
@@ -107,7 +108,7 @@ def test_a_track_in_gpx(tmp_path):
         table, report = read_positions("gpx", [path], states=None, **NOTHING)
         assert table["t_gps_s"].tolist() == gps_from_unix([1_620_810_000, 1_620_810_001]).tolist()
         assert table["lat_deg"].tolist() == [51.05, 51.05001]
-        np.testing.assert_allclose(table["h_ell_m"], heights)
+        assert_allclose(table["h_ell_m"], heights)
         assert table["fix"].tolist() == ["dgnss" if more else "single"] * 2
         assert table["n_sats"].tolist() == [9, -1]
         assert report.losses == {"track_points_without_time": 1}

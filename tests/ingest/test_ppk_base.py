@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.testing import assert_allclose
 
 from tests.ingest.writers import files_of, sbp
 from thalweg.core import InputError, ecef_of, read_table, rotation_ecef_enu
@@ -77,7 +78,7 @@ def positions(away_m: np.ndarray, fix: list[str]) -> pd.DataFrame:
 )  # fmt: skip
 def test_the_base_stands_where_it_is_stated(options, expected, words):
     found, notes = _base_position(inputs(), PpkOptions(**options), Path("base.obs"))
-    np.testing.assert_allclose(found, expected, atol=1e-6)
+    assert_allclose(found, expected, atol=1e-6)
     assert len(notes) == (words is not None)
     assert words is None or words in notes[0]
 
@@ -113,10 +114,10 @@ def test_the_base_of_sbp_logs_is_the_median_of_what_they_state(tmp_path):
         return _base_position(inputs(base=[scan], sbp=sbp_logs), options, Path("base.sbp"))
 
     place, notes = found(rows[:2], rows[2:])
-    np.testing.assert_allclose(place, BASE, atol=1e-6)
+    assert_allclose(place, BASE, atol=1e-6)
     assert notes == []
     place, notes = found(rows, BASE[None] + 0.5 * UP)
-    np.testing.assert_allclose(place, BASE, atol=1e-6)
+    assert_allclose(place, BASE, atol=1e-6)
     assert notes == [
         "The base positions stated in the SBP log differ by up to 0.500 m; their median is used."
     ]

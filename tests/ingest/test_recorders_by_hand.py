@@ -6,6 +6,7 @@ import struct
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.testing import assert_allclose
 
 from thalweg.core import gps_from_unix, gps_from_week
 from thalweg.ingest import NAVIGATION_INITIALISED, IntegrityReport
@@ -57,8 +58,8 @@ def test_places_without_a_fix_and_of_damage_are_none():
     found = _fixes(rows, {**table, "status": status, "horizontal_m": [0.5, 1, 1, 0, 1, -1, 1, 1]})
     assert found["fix"].tolist() == ["2d", "dgnss", "float", "fixed"]
     expected = [0.5 / math.sqrt(2), 1 / math.sqrt(2), np.nan, np.nan]
-    np.testing.assert_allclose(found["sigma_east_m"], expected)
-    np.testing.assert_allclose(found["sigma_north_m"], expected)
+    assert_allclose(found["sigma_east_m"], expected)
+    assert_allclose(found["sigma_north_m"], expected)
     pings = pd.DataFrame({"t_s": [1.0, 2.0, 3.0], "depth_m": [2.0, np.nan, 3.0], "sentence": "DPTH"})
     assert _depths(pings, report())[["depth_m", "line"]].to_numpy().tolist() == [[2.0, 1.0], [3.0, 2.0]]
     assert len(_depths(pings[["t_s"]], report())) == 0
@@ -87,7 +88,7 @@ def test_states_have_the_place_and_the_sigmas_of_their_time():
         "filter_status": [NAVIGATION_INITIALISED, NAVIGATION_INITIALISED, 0], "system_status": [0, 0, 0],
     }  # fmt: skip
     for name, values in expected.items():
-        np.testing.assert_allclose(found[name].astype(float), values, rtol=1e-6, err_msg=name)
+        assert_allclose(found[name].astype(float), values, rtol=1e-6, err_msg=name)
     assert found["fix"].tolist() == ["fixed", "fixed", "fixed"]  # of two equally near the later one
 
 
@@ -115,10 +116,10 @@ def test_of_two_receivers_the_one_with_the_better_fixes_counts():
     assert fixes["lat_deg"].tolist() == [52.0] * 3
     assert fixes["fix"].tolist() == ["fixed", "fixed", "single"]
     assert fixes["n_sats"].tolist() == [11] * 3
-    np.testing.assert_allclose(fixes["h_ell_m"], [146.5, 147.5, 148.5])
-    np.testing.assert_allclose(fixes["sigma_east_m"], 0.02 / math.sqrt(2))
-    np.testing.assert_allclose(fixes["sigma_up_m"], 0.03)
-    np.testing.assert_allclose(fixes["t_gps_s"], gps_from_week(WEEK, 50.0 + 0.2 * np.arange(3)), atol=1e-6)
+    assert_allclose(fixes["h_ell_m"], [146.5, 147.5, 148.5])
+    assert_allclose(fixes["sigma_east_m"], 0.02 / math.sqrt(2))
+    assert_allclose(fixes["sigma_up_m"], 0.03)
+    assert_allclose(fixes["t_gps_s"], gps_from_week(WEEK, 50.0 + 0.2 * np.arange(3)), atol=1e-6)
     assert offset_s == pytest.approx(gps_from_week(WEEK, 50.0) + 0.08, abs=1e-6)
     assert told.notes[0] == "2 GNSS receivers: fixes of number 1, by status, are taken."
     assert "0.08 s late (stated)" in told.notes[1]
@@ -179,9 +180,9 @@ def test_a_dataflash_log_by_hand():
         {"t_s": [0.0, 1.0, 2.0], "Dist": [1.0, 2.0, 3.0], "Orient": [25, 0, 25], "Stat": [4, 4, 1]}
     )
     attitude, place, fixes, depths, _ = _of_dataflash(dataflash(RFND=ranges), told)
-    np.testing.assert_allclose(attitude["roll_rad"], np.deg2rad([1.0, 2.0]))
-    np.testing.assert_allclose(attitude["pitch_rad"], np.deg2rad([3.0, 4.0]))
-    np.testing.assert_allclose(attitude["yaw_rad"], np.deg2rad([90.0, 180.0]))
+    assert_allclose(attitude["roll_rad"], np.deg2rad([1.0, 2.0]))
+    assert_allclose(attitude["pitch_rad"], np.deg2rad([3.0, 4.0]))
+    assert_allclose(attitude["yaw_rad"], np.deg2rad([90.0, 180.0]))
     assert place[["lat_deg", "lon_deg", "alt_m"]].to_numpy().tolist() == [[51.0, 13.0, 100.0]]
     assert place[["v_north_mps", "v_east_mps", "v_down_mps"]].to_numpy().tolist() == [[4, 5, 6]]
     assert place["sigma_up_m"].tolist() == [2.0]
@@ -239,11 +240,11 @@ def test_telemetry_by_hand():
     assert len(found) == 1
     assert fixes["fix"].tolist() == ["fixed", "single"]
     assert fixes["n_sats"].tolist() == [12, -1]
-    np.testing.assert_allclose(fixes["h_ell_m"], [146.5, np.nan])
-    np.testing.assert_allclose(fixes["alt_m"], [100.0, 101.0])
-    np.testing.assert_allclose(fixes["sigma_east_m"], [0.02 / math.sqrt(2), np.nan])
-    np.testing.assert_allclose(fixes["sigma_up_m"], [0.03, np.nan])
-    np.testing.assert_allclose(fixes["t_gps_s"], offset_s + np.array([1.0, 2.0]))
+    assert_allclose(fixes["h_ell_m"], [146.5, np.nan])
+    assert_allclose(fixes["alt_m"], [100.0, 101.0])
+    assert_allclose(fixes["sigma_east_m"], [0.02 / math.sqrt(2), np.nan])
+    assert_allclose(fixes["sigma_up_m"], [0.03, np.nan])
+    assert_allclose(fixes["t_gps_s"], offset_s + np.array([1.0, 2.0]))
     assert depths["depth_m"].tolist() == [1.5]
     assert told.model == "ArduRover V4"
     water = pd.DataFrame({"t_s": [1.0, 2.0], "distance": [3.0, 4.0], "healthy": [1, 0]})
@@ -325,7 +326,7 @@ def test_the_instruments_clock_is_set_by_the_time_of_day(ahead_s, words):
     day_s[1] = np.nan
     told = report()
     found = _on_gnss_time(pd.DataFrame({"rtc_unix_s": clock, "day_s": day_s}), told)
-    np.testing.assert_allclose(found, clock + ahead_s)
+    assert_allclose(found, clock + ahead_s)
     assert told.notes == [words]
 
 
@@ -339,9 +340,9 @@ def test_ends_of_slanted_beams_by_hand():
     )  # fmt: skip
     found = _slanted(table, np.array([[10.0, 10.0, 10.0, 0.0]]), np.array([1.7e9]))
     degree = math.pi / 180 * 6_371_000.0
-    np.testing.assert_allclose((found["latitude"] - 60.0) * degree, [-10.0, 10.0, 0.0], atol=1e-5)
-    np.testing.assert_allclose((found["longitude"] - 13.0) * degree / 2, [0.0, 0.0, 10.0], atol=1e-5)
-    np.testing.assert_allclose(found["depth_m"], 10.0)
+    assert_allclose((found["latitude"] - 60.0) * degree, [-10.0, 10.0, 0.0], atol=1e-5)
+    assert_allclose((found["longitude"] - 13.0) * degree / 2, [0.0, 0.0, 10.0], atol=1e-5)
+    assert_allclose(found["depth_m"], 10.0)
     assert set(found["time"]) == {"2023-11-14T22:13:20.000Z"}
     # pitched up by 45 degrees about the beam forward: it looks along the surface
     up = _slanted(table.assign(pitch_deg=45.0), np.array([[0.0, 0.0, 10.0, 0.0]]), np.array([1.7e9]))

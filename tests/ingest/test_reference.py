@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from plyfile import PlyData, PlyElement
 from pyproj import CRS, Transformer
 
@@ -37,8 +38,8 @@ def test_stations_of_all_frames_meet_in_the_world(tmp_path):
     cloud, header = read_laz(tmp_path / "out.laz")
     assert header.frame == FRAME
     # two grids of 1 mm: up to 0.5 mm each
-    np.testing.assert_allclose(cloud["xyz_m"], np.concatenate(sets), atol=1.5e-3)
-    np.testing.assert_array_equal(cloud["point_source_id"], np.repeat([1, 2, 3], 200))
+    assert_allclose(cloud["xyz_m"], np.concatenate(sets), atol=1.5e-3)
+    assert_array_equal(cloud["point_source_id"], np.repeat([1, 2, 3], 200))
     assert report.counts["points"] == 600
     assert any("states no CRS: taken as EPSG:25833" in note for note in report.notes)
 
@@ -153,4 +154,4 @@ def test_no_files_are_told(tmp_path):
 
 def test_map_and_back_is_the_same_place(rng):
     xyz = rng.uniform(-1500, 1500, (100, 3))
-    np.testing.assert_allclose(FRAME.from_map(FRAME.to_map(xyz, UTM), UTM), xyz, atol=1e-6)
+    assert_allclose(FRAME.from_map(FRAME.to_map(xyz, UTM), UTM), xyz, atol=1e-6)

@@ -10,6 +10,7 @@ import dpkt
 import numpy as np
 import pytest
 import yaml
+from numpy.testing import assert_allclose
 from PIL import Image
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import Writer as Writer2
@@ -444,13 +445,13 @@ def test_a_boat_in_a_bag(tmp_path, ros):
     fix = read_bag_positions([path], TrackOptions()).positions
     assert len(fix) == 19
     sigmas = fix[["sigma_east_m", "sigma_north_m", "sigma_up_m"]].to_numpy()
-    np.testing.assert_allclose(sigmas[:3], [[0.02, 0.03, 0.04]] * 3)
+    assert_allclose(sigmas[:3], [[0.02, 0.03, 0.04]] * 3)
     covariances = fix[["cov_en_m2", "cov_eu_m2", "cov_nu_m2"]].to_numpy()
-    np.testing.assert_allclose(covariances[0], [1e-4, -2e-4, 3e-4])
+    assert_allclose(covariances[0], [1e-4, -2e-4, 3e-4])
     assert np.isnan(sigmas[3:]).all()
     assert np.isnan(covariances[1:]).all()
-    np.testing.assert_allclose(fix[["lat_deg", "lon_deg", "h_ell_m"]].iloc[9], [51.00001, 13.0, 146.5])
-    np.testing.assert_allclose(fix["t_gps_s"].iloc[9], gps_from_unix(UNIX_S + 2.0))
+    assert_allclose(fix[["lat_deg", "lon_deg", "h_ell_m"]].iloc[9], [51.00001, 13.0, 146.5])
+    assert_allclose(fix["t_gps_s"].iloc[9], gps_from_unix(UNIX_S + 2.0))
     depths = read_depths([path]).depths
     assert depths["depth_m"].value_counts().to_dict() == {4.0: 19, 0.0: 1}
 

@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 import pyarrow.parquet as pq
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from pyproj import Transformer
 
 from thalweg.core import InputError, gps_from_week, write_table
@@ -97,10 +98,10 @@ def test_all_variants_of_one_solution_agree(variants, name):
     other = log.positions
     assert len(other) == len(base)
     # times have 3 digits
-    np.testing.assert_allclose(other["t_gps_s"], base["t_gps_s"], atol=1e-6)
+    assert_allclose(other["t_gps_s"], base["t_gps_s"], atol=1e-6)
     assert list(other["fix"]) == list(base["fix"])
     for column in ("n_sats", "age_s", "ratio"):
-        np.testing.assert_array_equal(other[column], base[column])
+        assert_array_equal(other[column], base[column])
     if name == "geodetic":
         assert other["h_ell_m"].isna().all()
         assert any("geoid" in note for note in log.report.notes)
@@ -110,7 +111,7 @@ def test_all_variants_of_one_solution_agree(variants, name):
     )
     # 1e-9 deg = 0.11 mm, 1e-5" = 0.3 mm, x/y/z and baselines 0.05 mm; the reference position of a
     # baseline is itself rounded to 1e-9 deg: twice the largest of these.
-    np.testing.assert_allclose(position, expected, atol=6e-4)
+    assert_allclose(position, expected, atol=6e-4)
     sigma = [f[["sigma_east_m", "sigma_north_m", "sigma_up_m"]].to_numpy() for f in (other, base)]
     largest = sigma[1].max(axis=1)
     # Each number r is a root rounded by 5e-5, so r^2 is off by 1e-4 r at most; a rotation sums 9 of them, and
@@ -129,7 +130,7 @@ def test_covariance_of_earth_centred_coordinates_is_rotated(tmp_path):
     assert row["lat_deg"] == pytest.approx(0.0, abs=1e-12)
     assert row["lon_deg"] == pytest.approx(90.0)
     sigmas = row[["sigma_east_m", "sigma_up_m", "sigma_north_m"]].to_numpy(dtype=float)
-    np.testing.assert_allclose(sigmas, [0.01, 0.02, 0.03], rtol=1e-12)
+    assert_allclose(sigmas, [0.01, 0.02, 0.03], rtol=1e-12)
     assert row["cov_eu_m2"] == pytest.approx(-(0.004**2))
     assert row["cov_nu_m2"] == pytest.approx(0.005**2)
     assert row["cov_en_m2"] == pytest.approx(0.006**2)
@@ -335,7 +336,7 @@ def test_each_baseline_keeps_the_base_of_its_own_header(tmp_path):
         head + line + head.replace("50.000000000   13", "51.000000000   14") + line.replace(":13.4", ":14.4")
     )
     table = read_pos([write(tmp_path / "enu.pos", both)]).positions
-    np.testing.assert_allclose(table["lat_deg"], [50.0, 51.0], atol=1e-9)
+    assert_allclose(table["lat_deg"], [50.0, 51.0], atol=1e-9)
 
 
 def test_two_solutions_of_one_time_are_no_track(tmp_path):

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from pyproj import Geod
 
 from thalweg.core import ArrayF, InputError, ThalwegError, gps_from_week, write_table
@@ -49,12 +50,12 @@ def write(path: Path, array: ArrayF | bytes) -> Path:
 def test_states(tmp_path):
     log = read_sbet([write(tmp_path / "a.out", records())], WEEK)
     s = log.states
-    np.testing.assert_array_equal(s["t_gps_s"], gps_from_week(WEEK, records()[:, 0]))
-    np.testing.assert_allclose(s["lat_deg"], np.rad2deg(records()[:, 1]), rtol=1e-15)
-    np.testing.assert_allclose(s["heading_rad"], HEADING, rtol=1e-14)
-    np.testing.assert_allclose(s["v_north_mps"], SPEED * np.cos(HEADING), rtol=1e-14)
-    np.testing.assert_allclose(s["v_east_mps"], SPEED * np.sin(HEADING), rtol=1e-14)
-    np.testing.assert_allclose(s["v_down_mps"], -0.3)
+    assert_array_equal(s["t_gps_s"], gps_from_week(WEEK, records()[:, 0]))
+    assert_allclose(s["lat_deg"], np.rad2deg(records()[:, 1]), rtol=1e-15)
+    assert_allclose(s["heading_rad"], HEADING, rtol=1e-14)
+    assert_allclose(s["v_north_mps"], SPEED * np.cos(HEADING), rtol=1e-14)
+    assert_allclose(s["v_east_mps"], SPEED * np.sin(HEADING), rtol=1e-14)
+    assert_allclose(s["v_down_mps"], -0.3)
     assert s[["roll_rad", "pitch_rad", "rate_z_radps"]].iloc[0].to_list() == [0.02, -0.03, 0.3]
     assert s["sigma_north_m"].isna().all()
     assert log.report.rates_hz["records"] == pytest.approx(50.0, rel=1e-6)
@@ -76,8 +77,8 @@ def test_velocities_of_other_makers(tmp_path, velocity, words):
     a[:, 4:7] = velocity
     log = read_sbet([write(tmp_path / "a.out", a)], WEEK)
     assert log.report.details["velocity"].startswith(words)
-    np.testing.assert_allclose(log.states["v_east_mps"], SPEED * np.sin(HEADING))
-    np.testing.assert_allclose(log.states["v_down_mps"], -0.3)
+    assert_allclose(log.states["v_east_mps"], SPEED * np.sin(HEADING))
+    assert_allclose(log.states["v_down_mps"], -0.3)
 
 
 def test_velocities_that_contradict_the_positions_are_left_empty(tmp_path):
@@ -91,10 +92,10 @@ def test_velocities_that_contradict_the_positions_are_left_empty(tmp_path):
 def test_smrmsg(tmp_path):
     companion = write(tmp_path / "smrmsg_a.out", smrmsg())
     s = read_sbet([write(tmp_path / "a.out", records())], WEEK, [companion]).states
-    np.testing.assert_allclose(s["sigma_north_m"], 0.01)
-    np.testing.assert_allclose(s["sigma_up_m"], 0.03)
+    assert_allclose(s["sigma_north_m"], 0.01)
+    assert_allclose(s["sigma_up_m"], 0.03)
     # three arc minutes
-    np.testing.assert_allclose(s["sigma_heading_rad"], np.deg2rad(0.05))
+    assert_allclose(s["sigma_heading_rad"], np.deg2rad(0.05))
     with pytest.raises(InputError, match="same solution"):
         read_sbet([tmp_path / "a.out"], WEEK, [write(tmp_path / "b.out", smrmsg(start_s=9000.0))])
 
@@ -102,7 +103,7 @@ def test_smrmsg(tmp_path):
 def test_week_rollover(tmp_path):
     log = read_sbet([write(tmp_path / "a.out", records(start_s=604798.0))], WEEK)
     # float64 resolves 30 ns at this date
-    np.testing.assert_allclose(np.diff(log.states["t_gps_s"]), 0.02, atol=1e-7)
+    assert_allclose(np.diff(log.states["t_gps_s"]), 0.02, atol=1e-7)
     assert log.report.t_last_s == pytest.approx(float(gps_from_week(WEEK + 1, 1.98)), abs=1e-7)
     assert log.report.clean
 
@@ -114,7 +115,7 @@ def test_times_with_their_date_need_no_week(tmp_path, zero):
     dated[:, 0] += zero
     sigmas[:, 0] += zero
     log = read_sbet([write(tmp_path / "a.out", dated)], None, [write(tmp_path / "s.out", sigmas)])
-    np.testing.assert_allclose(log.states["t_gps_s"], gps_from_week(WEEK, records()[:, 0]), atol=1e-6)
+    assert_allclose(log.states["t_gps_s"], gps_from_week(WEEK, records()[:, 0]), atol=1e-6)
     assert (log.states["sigma_north_m"] == 0.01).all()
     assert any("hold the date" in note for note in log.report.notes)
 
@@ -123,7 +124,7 @@ def test_utc_seconds(tmp_path):
     path = write(tmp_path / "a.out", records())
     gps, utc = (read_sbet([path], WEEK, utc=u).states["t_gps_s"] for u in (False, True))
     # GPS - UTC = 18 s in 2017
-    np.testing.assert_allclose(utc - gps, 18.0, atol=1e-7)
+    assert_allclose(utc - gps, 18.0, atol=1e-7)
 
 
 def test_cut_file_keeps_whole_records(tmp_path):

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from tests.ingest.writers import ROVER, files_of, sbp
 from thalweg.core import ecef_of, gps_from_week, rotation_ecef_enu, write_table
@@ -61,7 +62,7 @@ def test_crc_failure_costs_one_message(tmp_path):
     parts = [gps(TOW), *(llh(TOW + 100 * k) for k in range(4))]
     parts[2] = parts[2][:20] + bytes([parts[2][20] ^ 4]) + parts[2][21:]
     log = read(tmp_path, b"".join(parts))
-    np.testing.assert_allclose(log.positions["t_gps_s"], [t_of(TOW + 100 * k) for k in (0, 2, 3)])
+    assert_allclose(log.positions["t_gps_s"], [t_of(TOW + 100 * k) for k in (0, 2, 3)])
     assert log.report.losses == {"bytes_outside_messages": 42, "messages_with_wrong_checksum": 1}
     assert any("42 at log0 byte 61" in note for note in log.report.notes)
 
@@ -84,7 +85,7 @@ def test_power_up_epochs_are_dropped_and_counted(tmp_path):
 
 def test_positions_before_the_first_gps_time_get_its_week(tmp_path):
     log = read(tmp_path, llh(TOW) + llh(TOW + 100) + gps(TOW + 200) + llh(TOW + 200))
-    np.testing.assert_allclose(log.positions["t_gps_s"], [t_of(TOW + 100 * k) for k in range(3)])
+    assert_allclose(log.positions["t_gps_s"], [t_of(TOW + 100 * k) for k in range(3)])
 
 
 @pytest.mark.parametrize("late", [False, True])
@@ -98,14 +99,14 @@ def test_week_rollover_in_mid_log(late, tmp_path):
         data = gps(last) + llh(last) + gps(0, WEEK + 1) + llh(0) + gps(100, WEEK + 1) + llh(100)
         want = [t_of(last), t_of(0, WEEK + 1), t_of(100, WEEK + 1)]
     log = read(tmp_path, data)
-    np.testing.assert_allclose(log.positions["t_gps_s"], want, atol=6e-8)  # resolution of float64
+    assert_allclose(log.positions["t_gps_s"], want, atol=6e-8)  # resolution of float64
     assert log.report.losses == ({"time_steps_back": 1} if late else {})
 
 
 def test_residual_of_gps_time_belongs_to_its_epoch(tmp_path):
     log = read(tmp_path, gps(TOW, ns=-300_000) + llh(TOW) + llh(TOW + 100))
     got = log.positions["t_gps_s"] - [t_of(TOW), t_of(TOW + 100)]
-    np.testing.assert_allclose(got, [-3e-4, 0], atol=1.2e-7)  # resolution of float64
+    assert_allclose(got, [-3e-4, 0], atol=1.2e-7)  # resolution of float64
 
 
 @pytest.mark.parametrize("kind", [sm.GPS_TIME_GNSS, sm.GPS_TIME_DEP_A])
@@ -242,7 +243,7 @@ def test_files_that_overlap_or_split_a_message(tmp_path):
     data = b"".join(epochs)
     split = read(tmp_path, data[:333], data[333:])
     for log in (overlap, split):
-        np.testing.assert_array_equal(log.positions["t_gps_s"], whole.positions["t_gps_s"])
+        assert_array_equal(log.positions["t_gps_s"], whole.positions["t_gps_s"])
         assert log.report.clean
     assert overlap.report.counts["positions_repeated_dropped"] == 4
     pieces = read_sbp([tmp_path / "log0", tmp_path / "log1"], chunk_bytes=17).report

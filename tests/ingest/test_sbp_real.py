@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from sbp.client import Framer
 from sbp.client.drivers.file_driver import FileDriver
 
@@ -77,7 +78,7 @@ def same_as_library(records: SbpRecords, messages: list[Any]) -> int:
         senders = [m.sender for m in messages if m.msg_type == kind]
         assert found.sender.tolist() == senders
         for name, values in want.items():
-            np.testing.assert_array_equal(found.fields[name], np.array(values, found.fields[name].dtype))
+            assert_array_equal(found.fields[name], np.array(values, found.fields[name].dtype))
             compared += len(values)
     return compared
 
@@ -138,9 +139,9 @@ def test_rtk_solution_of_the_provenance(rtk, data_dir):
     base = base_positions(collect([data_dir / RTK]))
     assert base.shape == (440, 3)
     # the PROVENANCE prints four decimals of a metre, nine of a degree
-    np.testing.assert_allclose(base, [[-2706105.2018, -4261210.8062, 3885598.6411]] * 440, atol=5.1e-5)
+    assert_allclose(base, [[-2706105.2018, -4261210.8062, 3885598.6411]] * 440, atol=5.1e-5)
     mean = rtk.positions[rtk.positions["fix"] == "fixed"][["lat_deg", "lon_deg", "h_ell_m"]].mean()
-    np.testing.assert_allclose(mean[:2], [37.773452126, -122.417872451], atol=5.1e-10)
+    assert_allclose(mean[:2], [37.773452126, -122.417872451], atol=5.1e-10)
     assert mean["h_ell_m"] == pytest.approx(-6.3070, abs=5.1e-5)
     row = rtk.positions.iloc[-1]
     sigmas = row[["sigma_east_m", "sigma_north_m", "sigma_up_m"]].tolist()
@@ -154,10 +155,10 @@ def test_every_position_equals_the_library(rtk, rtk_library):
     assert len(want) > 1000
     found = rtk.positions.iloc[: len(want)]
     for name, key in (("lat_deg", "lat"), ("lon_deg", "lon"), ("h_ell_m", "height"), ("n_sats", "n_sats")):
-        np.testing.assert_array_equal(found[name], [getattr(m, key) for m in want])
+        assert_array_equal(found[name], [getattr(m, key) for m in want])
     tow = np.array([m.tow for m in want])
     # the residual of MsgGPSTime is at most half a millisecond
-    np.testing.assert_allclose(found["t_gps_s"], gps_from_week(1948, tow * 1e-3), atol=5.001e-4)
+    assert_allclose(found["t_gps_s"], gps_from_week(1948, tow * 1e-3), atol=5.001e-4)
 
 
 def test_coldstart_figures_of_the_provenance(data_dir):
@@ -183,4 +184,4 @@ def test_covariances_are_turned_to_east_north_up(data_dir):
         ("cov_eu_m2", -cov["cov_e_d"].astype(float)),
         ("cov_nu_m2", -cov["cov_n_d"].astype(float)),
     ):
-        np.testing.assert_allclose(p[name], want, rtol=1e-12)  # products with exact ones and zeros
+        assert_allclose(p[name], want, rtol=1e-12)  # products with exact ones and zeros

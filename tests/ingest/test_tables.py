@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from pyproj import CRS
 
 from tests.conftest import check_whole, time_limit
@@ -87,8 +88,8 @@ def test_a_large_file_of_numbers_is_the_same_as_a_small_one(tmp_path, monkeypatc
     fast = read_text_table(tmp_path / "table.csv")
     assert fast.cells[0].dtype.kind == "f"
     assert slow.cells[0].dtype.kind != "f"
-    np.testing.assert_array_equal(fast.places(UTM).xy_m, slow.places(UTM).xy_m)
-    np.testing.assert_array_equal(fast.numbers(2), slow.numbers(2))
+    assert_array_equal(fast.places(UTM).xy_m, slow.places(UTM).xy_m)
+    assert_array_equal(fast.numbers(2), slow.numbers(2))
     assert fast.text(0) == slow.text(0)
     assert fast.line.tolist() == slow.line.tolist()
 
@@ -210,7 +211,7 @@ def test_a_line_of_dashes_below_the_names(tmp_path):
 
 def test_longitudes_counted_all_around(tmp_path):
     table = read_text_table(write(tmp_path, "lat,lon\n44.5,286.75\n44.5,286.76\n"))
-    np.testing.assert_allclose(table.angles("lon"), [-73.25, -73.24], atol=1e-12)
+    assert_allclose(table.angles("lon"), [-73.25, -73.24], atol=1e-12)
 
 
 def test_angles_as_people_write_them(tmp_path):
@@ -222,8 +223,8 @@ def test_angles_as_people_write_them(tmp_path):
         "51 3.09 N;13 15 E",
     ]
     table = read_text_table(write(tmp_path, "lat;lon\n" + "\n".join(rows) + "\n"))
-    np.testing.assert_allclose(table.angles("lat"), 51.0515, atol=1e-12)
-    np.testing.assert_allclose(table.angles("lon"), 13.25, atol=1e-12)
+    assert_allclose(table.angles("lat"), 51.0515, atol=1e-12)
+    assert_allclose(table.angles("lon"), 13.25, atol=1e-12)
     south = read_text_table(write(tmp_path, "lat,ns,lon,ew\n33.5,S,70.25,W\n33.5,S,70.25,W\n"))
     assert south.angles("lat").tolist() == [-33.5, -33.5]
     assert south.angles("lon").tolist() == [-70.25, -70.25]

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from thalweg.core import InputError, LocalFrame, gps_from_unix, gps_from_week, rotation_enu_body
 from thalweg.ingest import TrackOptions
@@ -55,17 +56,15 @@ def test_poses_on_earth(tmp_path, kind, body_axes):
     log = reader_of(kind)([path], options)
     s = log.states
     # float64 of a Unix time of 1.7e9 s
-    np.testing.assert_allclose(s["t_gps_s"], gps_from_unix(T0 + 0.1 * np.arange(3)), atol=5e-7)
+    assert_allclose(s["t_gps_s"], gps_from_unix(T0 + 0.1 * np.arange(3)), atol=5e-7)
     east_north_up = FRAME.from_geodetic(s["lat_deg"], s["lon_deg"], s["h_ell_m"])
-    np.testing.assert_allclose(east_north_up, [[0, 5, -1], [10, 5, -1], [20, 5, -1]], atol=1e-6)
+    assert_allclose(east_north_up, [[0, 5, -1], [10, 5, -1], [20, 5, -1]], atol=1e-6)
     # the local level turns by 3e-6 rad within 20 m
     for name, angle in (("roll", RIGHT_DOWN), ("pitch", NOSE_UP), ("heading", HEADING)):
-        np.testing.assert_allclose(s[f"{name}_rad"], angle, atol=1e-5)
-        np.testing.assert_allclose(s[f"sigma_{name}_rad"], np.deg2rad(0.2))
+        assert_allclose(s[f"{name}_rad"], angle, atol=1e-5)
+        assert_allclose(s[f"sigma_{name}_rad"], np.deg2rad(0.2))
     if kind == "euroc":
-        np.testing.assert_allclose(
-            s[["v_east_mps", "v_north_mps", "v_down_mps"]], [[1, 2, -3]] * 3, atol=1e-4
-        )
+        assert_allclose(s[["v_east_mps", "v_north_mps", "v_down_mps"]], [[1, 2, -3]] * 3, atol=1e-4)
     else:
         assert s["v_north_mps"].isna().all()
     assert log.report.counts == {"poses": 3}
@@ -111,7 +110,7 @@ def test_poses_of_a_real_lidar(data_dir):
     path = data_dir / "ouster_sdk_samples/OS-1-128_v2.3.0_1024x10_lb_n3_poses_kitti.txt"
     assert recognise(path) == "kitti"
     poses = read_text_poses("kitti", [path])
-    np.testing.assert_allclose(poses.position_m[:, 0], [0.0, 0.2454105, 0.4978255], atol=1e-7)
+    assert_allclose(poses.position_m[:, 0], [0.0, 0.2454105, 0.4978255], atol=1e-7)
 
 
 HEADER = """Project:     Elbe
@@ -136,8 +135,8 @@ def test_inertial_explorer_by_its_header(tmp_path):
     assert recognise(path) == "inertial_explorer"
     log = read_poses([path], "sbet", TrackOptions())
     s = log.states
-    np.testing.assert_allclose(s["t_gps_s"], gps_from_week(2235, 300_000 + 0.1 * np.arange(4)), atol=1e-6)
-    np.testing.assert_allclose(s["lat_deg"], 51.05 + 1e-8 * np.arange(4), atol=1e-12)
+    assert_allclose(s["t_gps_s"], gps_from_week(2235, 300_000 + 0.1 * np.arange(4)), atol=1e-6)
+    assert_allclose(s["lat_deg"], 51.05 + 1e-8 * np.arange(4), atol=1e-12)
     first = s.iloc[0]
     assert first["v_down_mps"] == -0.3
     assert np.rad2deg(
@@ -249,8 +248,8 @@ def test_names_decide_the_order_of_the_quaternion(tmp_path, head, order):
     path.write_text("\n".join([head, *rows]) + "\n")
     assert recognise(path) == "tum"
     states = read_poses([path], "ins", TrackOptions(**STATED, body_axes="forward-left-up")).states
-    np.testing.assert_allclose(states["roll_rad"], 0.0, atol=1e-5)
-    np.testing.assert_allclose(states["heading_rad"], np.pi / 2 - 0.6, atol=1e-5)
+    assert_allclose(states["roll_rad"], 0.0, atol=1e-5)
+    assert_allclose(states["heading_rad"], np.pi / 2 - 0.6, atol=1e-5)
 
 
 def test_a_boat_upside_down_is_refused_unless_it_is_stated(tmp_path):

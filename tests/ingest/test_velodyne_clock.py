@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from tests.ingest import test_velodyne_log as log
 from tests.ingest.writers import nmea
@@ -33,7 +34,7 @@ def packet_times(files):
 
 def assert_gps(gps, stamps_us):
     """Equal to UTC of the stamps; 0.5 us is the rounding of the packet stamp, 0.12 us float64 there."""
-    np.testing.assert_allclose(gps - GPS_HOUR, np.asarray(stamps_us) * 1e-6, rtol=0, atol=0.7e-6)
+    assert_allclose(gps - GPS_HOUR, np.asarray(stamps_us) * 1e-6, rtol=0, atol=0.7e-6)
 
 
 @pytest.mark.parametrize("lag_s", [-0.2, 0.0, 0.4, 1.2])
@@ -55,7 +56,7 @@ def test_device_time_runs_on_over_the_hour(tmp_path):
     stamps = log.times(200, 3_599_900_000.0)
     path = log.save(tmp_path / "a", log.recording(stamps, every=0))
     gps, device, scan = packet_times([path])
-    np.testing.assert_allclose(device, np.rint(stamps) * 1e-6, rtol=0, atol=1e-9)
+    assert_allclose(device, np.rint(stamps) * 1e-6, rtol=0, atol=1e-9)
     assert np.isnan(gps).all()
     assert scan.report.notes == [
         "The lidar is unsynchronised: there are no position packets on UDP port 8308. Its points have no GPS "
@@ -180,7 +181,7 @@ def test_hole_longer_than_an_hour(tmp_path, hours, hole_us):
     ]
     gps, device, scan = packet_times(files)
     assert_gps(gps, np.concatenate([a, b]))
-    np.testing.assert_allclose(device, np.rint(np.r_[a, b]) * 1e-6, rtol=0, atol=1e-5)
+    assert_allclose(device, np.rint(np.r_[a, b]) * 1e-6, rtol=0, atol=1e-5)
     assert len(scan.report.gaps) == 1
     assert scan.report.gaps[0].duration_s == pytest.approx((b[0] - a[-1]) * 1e-6, abs=2e-3)
     assert not scan.report.losses.get("clock_set_back")

@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import yaml
+from numpy.testing import assert_allclose, assert_array_equal
 
 from tests.bands import band
 from thalweg.core.calibration import read_calibration
@@ -74,7 +75,7 @@ def test_the_interior_orientation_comes_from_the_marker_field(hall):
     lens, sensor = (read_calibration(base / name) for name in ("camera_interior.yaml", "sensor.yaml"))
     (block,) = (b.name for b in lens.blocks)
     for mine, theirs in zip(sensor.block(block), lens.block(block), strict=True):
-        np.testing.assert_allclose(mine, theirs, rtol=1e-9, atol=1e-18)
+        assert_allclose(mine, theirs, rtol=1e-9, atol=1e-18)
     table = pd.read_csv(hall.root / TRUTH).set_index("what")
     joint = table.loc["interior orientation jointly"]
     assert joint["n"] == 9
@@ -119,8 +120,8 @@ def test_the_same_recordings_as_a_real_campaign_give_the_same_numbers(hall):
     )
     assert mine.source.twin
     assert not theirs.source.twin
-    np.testing.assert_array_equal(theirs.values, mine.values)
-    np.testing.assert_array_equal(theirs.sigmas, mine.sigmas)
+    assert_array_equal(theirs.values, mine.values)
+    assert_array_equal(theirs.sigmas, mine.sigmas)
     panels = [pd.read_csv(hall.root / f"results/{n}/triangulation/panels.csv") for n in (NAME, "hall")]
     pd.testing.assert_frame_equal(panels[1], panels[0])
     assert not (hall.root / "results/hall/accuracy").exists()

@@ -9,6 +9,7 @@ import laspy
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.testing import assert_allclose
 
 from thalweg.cli import main
 from thalweg.core import gps_from_unix, unix_from_gps
@@ -101,13 +102,13 @@ def test_finished_orientations_are_judged_by_surveyed_points(examples, record_pr
     for axis, value in zip(("east", "north", "up"), rms, strict=True):
         record_property(f"{axis}_mm", value)
     # points intersected from its poses alone; in DBAT's adjustment their marks took part: measured 9, 5, 25 %
-    np.testing.assert_allclose(rms, [136, 209, 339], rtol=0.35)
+    assert_allclose(rms, [136, 209, 339], rtol=0.35)
     assert (points["images"] >= 1).all()
     assert points.loc["B3.09", "reason"] == "a check point needs two images, it has 1"
     poses = pd.read_csv(folder / "finished.csv")
     given = pd.read_csv(examples.root / EXAMPLES / "data/strasbourg/orientations.csv")
-    np.testing.assert_allclose(poses[["x_m", "y_m", "z_m"]], given[["x", "y", "z"]], atol=2e-3)
-    np.testing.assert_allclose(poses["sigma_x_m"], given["sigma_x"], rtol=1e-6)
+    assert_allclose(poses[["x_m", "y_m", "z_m"]], given[["x", "y", "z"]], atol=2e-3)
+    assert_allclose(poses["sigma_x_m"], given["sigma_x"], rtol=1e-6)
 
 
 def test_a_fixed_camera_has_the_published_place(examples, record_property):
