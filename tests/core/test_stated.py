@@ -141,6 +141,10 @@ FEET = (relief() / 0.3048).astype(np.float32)
     [
         (FEET, {"units": ["ft"]}, "stated in feet"),
         (FEET, {"descriptions": ["elevation [ft]"]}, "stated in feet"),
+        (FEET, {"descriptions": ["elevation_ft"]}, "feet"),
+        (FEET, {"descriptions": ["Height in feet"]}, "feet"),
+        (FEET, {"tags": {"units": "feet"}}, "feet"),
+        (FEET, {"tags": {"TIFFTAG_IMAGEDESCRIPTION": "DEM, elevations in feet"}}, "feet"),
         ((relief() / US_FOOT_M).astype(np.float32), {"units": ["US survey foot"]}, "in US survey feet"),
         (CENTIMETRES.astype(np.int16), {"units": ["cm"]}, "stated in centimetres"),
         (CENTIMETRES.astype(np.int16), {"scales": [0.01]}, "times 0.01 plus 0"),
@@ -162,6 +166,8 @@ def test_heights_become_metres_as_the_band_states(tmp_path, band, told, note):
         (-9999, np.float32, {"nodata": np.nan}),
         (np.nan, np.float32, {"nodata": -9999.0}),
         (-999, np.float32, {}),
+        (-99, np.float32, {}),
+        (255, np.float32, {}),
         (7, np.int16, {"nodata": 7, "units": ["cm"]}),
         (-32768, np.int16, {"units": ["cm"]}),
         (65535, np.uint16, {"scales": [0.01]}),
@@ -192,6 +198,9 @@ def test_the_band_of_heights_is_found_by_its_name(tmp_path):
     [
         ({"transform": Affine(2.0, 0.3, *CORNER[:1], 0.3, -2.0, CORNER[1])}, "turned or bent.*gdalwarp"),
         ({"units": ["degC"]}, "heights in 'degC'"),
+        ({"descriptions": ["depth"]}, "depths"),
+        ({"tags": {"positive": "down"}}, "depths"),
+        ({"transform": Affine(1.0, 0.0, 5.65e6, 0.0, -1.0, 5.65e6)}, "expected coordinates in"),
         ({"crs": "EPSG:4258", "transform": Affine(1e-5, 0, 13.7, 0, -1e-5, 51.0)}, "degrees.*EPSG:32633"),
         ({"crs": None, "transform": Affine(1e-5, 0, 13.7, 0, -1e-5, 51.0)}, "look like degrees"),
     ],
@@ -208,3 +217,6 @@ def test_whole_numbers_of_zero_among_others_far_from_it_are_asked_about(tmp_path
         read_dsm(a_raster(tmp_path / "a.tif", band, scales=[0.1]))
     low = np.rint(relief() - 101.0).astype(np.int16)  # a plain at the sea
     assert np.isfinite(read_dsm(a_raster(tmp_path / "b.tif", low)).height_m).all()
+    few = relief()
+    few[0, :5] = 0.0
+    assert np.isnan(read_dsm(a_raster(tmp_path / "c.tif", few)).height_m).sum() == 5

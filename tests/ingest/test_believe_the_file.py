@@ -7,11 +7,10 @@ import laspy
 import numpy as np
 import pandas as pd
 import pytest
-import rasterio
 from pyproj import CRS
 
 from thalweg.bathymetry import Levels, read_soundings
-from thalweg.core import GPS_EPOCH_UNIX_S, InputError, ThalwegError, read_dsm, read_opencv
+from thalweg.core import GPS_EPOCH_UNIX_S, InputError, ThalwegError, read_opencv
 from thalweg.core.values import far_repeated
 from thalweg.deformation.foreign.clouds import read_points
 from thalweg.images import read_marks
@@ -194,7 +193,7 @@ def test_levels_by_their_names(tmp_path, text):
     assert Levels.read(path).at(np.array([TEN])) == pytest.approx(101.0)
 
 
-# ---------------------------------------------------------------- clouds and rasters
+# ---------------------------------------------------------------- clouds
 
 
 def las(path: Path, xyz: np.ndarray, crs: object = None) -> Path:
@@ -243,59 +242,6 @@ def test_comments_of_ply(tmp_path, comment, refused):
             read_cloud(tmp_path / "a.ply")
     else:
         assert f"A comment says '{comment}'" in " ".join(read_cloud(tmp_path / "a.ply").report.notes)
-
-
-def tiff(
-    path: Path, heights: np.ndarray, name: str = "", tags: dict[str, str] | None = None, east: float = 412e3
-) -> Path:
-    profile = {"driver": "GTiff", "height": 20, "width": 30, "count": 1, "dtype": "float32"}
-    with rasterio.open(
-        path, "w", crs="EPSG:25833", transform=rasterio.Affine(1.0, 0.0, east, 0.0, -1.0, 5.65e6), **profile
-    ) as file:
-        file.write(heights.astype(np.float32), 1)
-        file.descriptions = (name or None,)
-        file.update_tags(**(tags or {}))
-    return path
-
-
-HEIGHTS = 100.0 + np.sin(np.arange(600.0) / 9.0).reshape(20, 30)
-
-
-@pytest.mark.parametrize(
-    ("name", "tags"),
-    [
-        ("elevation_ft", {}),
-        ("Height in feet", {}),
-        ("", {"units": "feet"}),
-        ("", {"TIFFTAG_IMAGEDESCRIPTION": "DEM, elevations in feet"}),
-    ],
-)
-def test_feet_of_a_raster(tmp_path, name, tags):
-    assert read_dsm(tiff(tmp_path / "a.tif", HEIGHTS / 0.3048, name, tags)).height_m == pytest.approx(
-        HEIGHTS, abs=1e-4
-    )
-
-
-@pytest.mark.parametrize(
-    ("name", "tags", "east", "words"),
-    [
-        ("depth", {}, 412e3, "depths"),
-        ("", {"positive": "down"}, 412e3, "depths"),
-        ("", {}, 5.65e6, "expected coordinates in"),
-    ],
-)
-def test_rasters_that_are_refused(tmp_path, name, tags, east, words):
-    with pytest.raises(ThalwegError, match=words):
-        read_dsm(tiff(tmp_path / "a.tif", HEIGHTS, name, tags, east))
-
-
-@pytest.mark.parametrize("value", [-99.0, 255.0, 0.0])
-def test_undeclared_values_of_a_raster(tmp_path, value):
-    heights = HEIGHTS.copy()
-    heights[0, :5] = value
-    dsm = read_dsm(tiff(tmp_path / "a.tif", heights))
-    assert np.isnan(dsm.height_m).sum() == 5
-    assert "5 of 600 cells without a height" in dsm.notes[0]
 
 
 # ---------------------------------------------------------------- tracks, lenses, marks

@@ -37,8 +37,18 @@ def assert_gps(gps, stamps_us):
     assert_allclose(gps - GPS_HOUR, np.asarray(stamps_us) * 1e-6, rtol=0, atol=0.7e-6)
 
 
-@pytest.mark.parametrize("lag_s", [-0.2, 0.0, 0.4, 1.2])
-@pytest.mark.parametrize("t0_us", [5e6, 1_800_000_000.0, 3_599_960_000.0, 3_599_100_000.0, 3_600_000_100.0])
+@pytest.mark.parametrize(
+    ("lag_s", "t0_us"),
+    [
+        (0.4, 5e6),
+        (0.0, 1_800_000_000.0),
+        (-0.2, 3_599_960_000.0),
+        (1.2, 3_599_960_000.0),
+        (0.4, 3_599_100_000.0),
+        (-0.2, 3_600_000_100.0),
+        (1.2, 3_600_000_100.0),
+    ],
+)
 def test_hour_from_rmc_at_any_place_of_the_hour(tmp_path, lag_s, t0_us):
     stamps = log.times(100, t0_us)
     path = log.save(tmp_path / "a", log.recording(stamps, hour_unix=HOUR, lag_s=lag_s))
@@ -80,8 +90,9 @@ def test_pps_that_is_never_locked(tmp_path, state, words):
     )
 
 
-@pytest.mark.parametrize("every", [1, 4, 10])
-@pytest.mark.parametrize("start_us", [12_345_678.0, 2_000_000_000.0, 3_598_500_000.0])
+@pytest.mark.parametrize(
+    ("every", "start_us"), [(1, 2_000_000_000.0), (4, 3_598_500_000.0), (10, 12_345_678.0)]
+)
 def test_pps_acquired_late(tmp_path, every, start_us):
     utc = log.times(300, 1_234_567_890.0)
     toh = np.where(np.arange(300) < 150, start_us + utc - utc[0], utc)
@@ -103,8 +114,10 @@ def test_pps_acquired_late(tmp_path, every, start_us):
     assert report.t_first_s == pytest.approx(GPS_HOUR + utc[first] * 1e-6, abs=2e-3)
 
 
-@pytest.mark.parametrize("ahead", [0, 1, 3])
-@pytest.mark.parametrize("free_us", [140_550_000.0, 1_300_000_000.0, 3_000_000_000.0])
+@pytest.mark.parametrize(
+    ("ahead", "free_us"),
+    [(0, 1_300_000_000.0), (1, 3_000_000_000.0), (3, 140_550_000.0), (3, 3_000_000_000.0)],
+)
 def test_locked_position_packet_before_the_first_data_packet_of_the_new_time(tmp_path, ahead, free_us):
     utc = log.times(100, 1_234_567_890.0)
     toh = np.where(np.arange(100) < 50, free_us + utc - utc[0], utc)
@@ -170,8 +183,9 @@ def test_position_packets_before_the_first_data_packet(tmp_path):
     assert_gps(gps, stamps)
 
 
-@pytest.mark.parametrize("hours", [1, 2, 5])
-@pytest.mark.parametrize("hole_us", [0.0, 700_000_000.0, 3_500_000_000.0])
+@pytest.mark.parametrize(
+    ("hours", "hole_us"), [(1, 0.0), (1, 3_500_000_000.0), (2, 700_000_000.0), (5, 3_500_000_000.0)]
+)
 def test_hole_longer_than_an_hour(tmp_path, hours, hole_us):
     a = log.times(100)
     b = log.times(100, a[-1] + 1327.104 + hole_us + hours * 3.6e9)
