@@ -1,7 +1,5 @@
 """Photographs in folders below folders: which are read, how they are called, what is counted."""
 
-from pathlib import Path
-
 import pytest
 from PIL import Image
 
@@ -10,7 +8,7 @@ from thalweg.ingest.photos import by_any_name, list_images, named_images, read_i
 from thalweg.ingest.photos.files import find_images
 
 
-def photographs(folder: Path, *names: str) -> Path:
+def photographs(folder, *names):
     for name in names:
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         if name.lower().endswith((".jpg", ".png")):

@@ -2,8 +2,6 @@
 
 import warnings
 from collections import Counter
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -12,8 +10,7 @@ from sbp.client import Framer
 from sbp.client.drivers.file_driver import FileDriver
 
 from thalweg.core import gps_from_week
-from thalweg.ingest import PositionLog
-from thalweg.ingest.sbp import SbpRecords, base_positions, collect, find_messages, messages as sm, read_sbp
+from thalweg.ingest.sbp import base_positions, collect, find_messages, messages as sm, read_sbp
 
 pytestmark = pytest.mark.real
 
@@ -24,13 +21,12 @@ ROUNDTRIP = "sbp_libsbp_samples/roundtrip.sbp"
 SHORT = "sbp_libsbp_samples/short.sbp"
 
 
-def counts_of(log: PositionLog) -> dict[str, int]:
+def counts_of(log):
     """Messages by type and sender."""
-    found: dict[str, int] = log.report.details["messages by type and sender"]
-    return found
+    return log.report.details["messages by type and sender"]
 
 
-def library(path: Path) -> list[Any]:
+def library(path):
     with path.open("rb") as stream, warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the library stamps each message with a deprecated utcnow()
         return [message for message, _ in Framer(FileDriver(stream).read, None, skip_metadata=True)]
@@ -54,11 +50,11 @@ def rtk_library(rtk_start):
     return library(rtk_start)
 
 
-def expected_fields(messages: list[Any], kind: int) -> dict[str, list[Any]]:
+def expected_fields(messages, kind):
     """Columns of one message type as the library decodes it."""
     names = sm.LAYOUTS[kind].names or ()
     own = {"ns": "ns_residual"} if kind != sm.UTC_TIME else {}
-    out: dict[str, list[Any]] = {name: [] for name in names}
+    out = {name: [] for name in names}
     for m in messages:
         if m.msg_type == kind:
             for name in names:
@@ -70,7 +66,7 @@ def expected_fields(messages: list[Any], kind: int) -> dict[str, list[Any]]:
     return out
 
 
-def same_as_library(records: SbpRecords, messages: list[Any]) -> int:
+def same_as_library(records, messages):
     compared = 0
     for kind in sm.LAYOUTS:
         found = records.of(kind)

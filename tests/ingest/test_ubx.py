@@ -3,7 +3,6 @@
 import datetime as dt
 import struct
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,7 +20,7 @@ WEEK, FIRST_S = 2300, 100_000.0
 UTC = dt.datetime(1980, 1, 6) + dt.timedelta(weeks=WEEK, seconds=FIRST_S - 18.0)
 
 
-def pvt(k: int, **other: object) -> bytes:
+def pvt(k, **other):
     """Epoch ``k``, a second each: a fixed ambiguity 2 cm apart in the radius, 3 cm in height."""
     utc = UTC + dt.timedelta(seconds=k)
     values = {
@@ -33,14 +32,14 @@ def pvt(k: int, **other: object) -> bytes:
     return at_time(UBXMessage("NAV", "NAV-PVT", GET, **(values | other)), k, 6)
 
 
-def at_time(message: UBXMessage, k: int, at: int) -> bytes:
+def at_time(message, k, at):
     """The message's bytes with its time of week, which pyubx2 would turn into a time of day."""
     body = bytearray(message.serialize())
     body[at : at + 4] = struct.pack("<I", round(1e3 * (FIRST_S + k)))
     return summed(body)
 
 
-def summed(body: bytearray) -> bytes:
+def summed(body):
     """A message with a check sum that is right."""
     a = b = 0
     for byte in body[2:-2]:
@@ -49,7 +48,7 @@ def summed(body: bytearray) -> bytes:
     return bytes(body[:-2]) + bytes([a, b])
 
 
-def log_of(tmp_path: Path, *parts: bytes) -> Path:
+def log_of(tmp_path, *parts):
     path = tmp_path / "receiver.ubx"
     path.write_bytes(b"".join(parts))
     return path
@@ -148,7 +147,7 @@ def test_without_a_week_there_is_no_gps_time(tmp_path):
     assert report.counts["positions_without_week"] == 2
 
 
-def raw_epoch(k: int, week: int, *, old: bool = False) -> bytes:
+def raw_epoch(k, week, *, old=False):
     """A RXM-RAWX without satellites: its time of week is a float64; that of RXM-RAW in milliseconds."""
     if old:
         return at_time(UBXMessage("RXM", "RXM-RAW", GET, week=week, numSV=0), k, 6)

@@ -1,7 +1,6 @@
 """The same lines and areas in every format of a GIS; what is broken is refused with a sentence."""
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +23,7 @@ ISLAND = np.array([[40.0, 8.0], [60.0, 8.0], [60.0, 12.0], [40.0, 12.0]])
 HOLE = np.array([[45.0, 9.0], [46.0, 9.0], [46.0, 10.0]])
 
 
-def placed(corners: np.ndarray) -> np.ndarray:
+def placed(corners):
     """Corners on the map."""
     return corners + ([EAST_M, NORTH_M, 0.0][: corners.shape[1]])
 
@@ -37,7 +36,7 @@ BANKS = GeoDataFrame(
 ISLANDS = GeoDataFrame({"name": ["a"]}, geometry=[shapely.Polygon(placed(ISLAND), [placed(HOLE)])], crs=MAP)
 WGS84 = CRS.from_epsg(4326)
 # DXF has layers instead of properties; KML knows degrees alone
-WRITTEN: dict[str, Callable[[GeoDataFrame, Path], None]] = {
+WRITTEN = {
     "old.geojson": lambda table, path: table.to_file(path),
     "new.geojson": lambda table, path: table.to_crs(WGS84).to_file(
         path, RFC7946="YES", COORDINATE_PRECISION=12
@@ -62,7 +61,7 @@ def test_the_same_lines_in_every_format(tmp_path, name):
     for side, corners in zip(("left", "right"), (LEFT, RIGHT), strict=True):
         (found,) = [xyz for xyz, of in read_vectors(path).on_map(MAP).lines() if side in of.values()]
         assert found == pytest.approx(placed(corners), abs=1e-6)
-    notes: list[str] = []
+    notes = []
     banks, _ = read_bank_lines(path, MAP, None, None, (np.empty((0, 2)), np.empty(0)), notes)
     of = banks.table[banks.table["side"] == "left"]
     assert of["north_m"].max() == pytest.approx(NORTH_M + 22.0, abs=1e-2)
@@ -120,7 +119,7 @@ def test_points_are_a_table(tmp_path):
             assert found.xy_m[order] == pytest.approx(placed(LEFT[:2, :2]), abs=1e-6 if crs else 2e-4)
 
 
-def geojson(path: Path, *geometries: object, **members: object) -> Path:
+def geojson(path, *geometries, **members):
     """A file of these geometries."""
     features = [
         {"type": "Feature", "properties": {"n": k}, "geometry": each} for k, each in enumerate(geometries)
@@ -129,7 +128,7 @@ def geojson(path: Path, *geometries: object, **members: object) -> Path:
     return path
 
 
-def line(*corners: tuple[object, ...]) -> dict[str, object]:
+def line(*corners):
     """A line of GeoJSON."""
     return {"type": "LineString", "coordinates": corners}
 
@@ -220,7 +219,7 @@ def test_a_layer_or_rows_by_name(tmp_path):
         read_vectors(f"{path}?layer")
 
 
-def broken(folder: Path) -> dict[Path, str]:
+def broken(folder):
     """Files that cannot be read, and words of the refusal."""
     (folder / "cut.geojson").write_text('{"type": "FeatureCollection", "features": [{"type": "Feature"')
     (folder / "deep.geojson").write_text("[" * 50_000)

@@ -3,7 +3,6 @@
 import copy
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 import yaml
@@ -19,7 +18,7 @@ LOGS = {
     "raw/empty.pcap": b"",
 }
 
-GOOD: dict[str, Any] = {
+GOOD = {
     "campaign": {
         "id": "good",
         "title": "A good campaign",
@@ -50,7 +49,7 @@ REMOVE = object()
 Spoil = Callable[..., Path]
 
 
-def patched(changes: dict[str, Any]) -> dict[str, Any]:
+def patched(changes):
     """The good campaign with other values at dotted paths."""
     data = copy.deepcopy(GOOD)
     for dotted, value in changes.items():

@@ -1,8 +1,5 @@
 """What a campaign of epochs may say wrong, and what it brings along."""
 
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 import pytest
 import yaml
@@ -18,7 +15,7 @@ PLACE = {"crs": "EPSG:25833", "origin": {"lat_deg": 51.05, "lon_deg": 13.25, "h_
 MOUNTS = {"lidar": {"phi_deg": -90.0, "lever_ics_m": [0, 0, 0]}, "antenna": {"lever_ics_m": [0.1, 0.0, -0.4]}}
 
 
-def write(folder: Path, name: str, **sections: Any) -> None:
+def write(folder, name, **sections):
     identity = {"id": name, "title": name, **PLACE, **sections.pop("campaign", {})}
     (folder / f"{name}.yaml").write_text(yaml.safe_dump({"campaign": identity, **sections}))
 
@@ -32,7 +29,7 @@ def folder(tmp_path):
     return tmp_path
 
 
-def told(folder: Path) -> str:
+def told(folder):
     with pytest.raises(ConfigError) as caught:
         load_campaigns("change", folder)
     return str(caught.value)

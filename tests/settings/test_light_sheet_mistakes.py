@@ -1,8 +1,5 @@
 """What a campaign file may say wrong about the underwater light-sheet sensor."""
 
-from pathlib import Path
-from typing import Any
-
 import pytest
 import yaml
 
@@ -10,7 +7,7 @@ from thalweg.core import ConfigError
 from thalweg.settings.load import load_campaign
 from thalweg_lab.settings import check_sheet_twin
 
-FILES: dict[str, list[str]] = {
+FILES = {
     "sensor": ["sensor.yaml"],
     "camera_marks": ["camera_marks.csv"],
     "mark_points": ["mark_points.csv"],
@@ -21,7 +18,7 @@ FILES: dict[str, list[str]] = {
 }
 
 
-def campaign(folder: Path, twin: Any = None, more: dict[str, Any] | None = None, **changes: Any) -> Path:
+def campaign(folder, twin=None, more=None, **changes):
     """A campaign of dummy files; ``None`` takes a key out."""
     for name in ("grid", "panels"):
         (folder / name).mkdir(exist_ok=True)
@@ -31,16 +28,14 @@ def campaign(folder: Path, twin: Any = None, more: dict[str, Any] | None = None,
             (folder / name).write_text("x")
     logs = {key: files for key, files in (FILES | changes).items() if files is not None}
     origin = {"lat_deg": 51.05, "lon_deg": 13.25, "h_ell_m": 300.0}
-    data: dict[str, Any] = {
-        "campaign": {"id": "good", "title": "t", "crs": "EPSG:25833", "origin": origin, "seed": 1}
-    }
+    data = {"campaign": {"id": "good", "title": "t", "crs": "EPSG:25833", "origin": origin, "seed": 1}}
     data |= {"twin": twin} if twin else {"logs": {"light_sheet": logs, **(more or {})}}
     path = folder / "good.yaml"
     path.write_text(yaml.safe_dump(data))
     return path
 
 
-def told(path: Path) -> str:
+def told(path):
     with pytest.raises(ConfigError) as caught:
         load_campaign(path)
     return str(caught.value)
@@ -78,7 +73,7 @@ def test_panels_without_their_other_half(tmp_path, key, other):
     assert f"beside logs.light_sheet.{other}" in text
 
 
-def marker_field(folder: Path, *keys: str) -> dict[str, list[str]]:
+def marker_field(folder, *keys):
     """Those keys of a marker field, with dummy files."""
     (folder / "field").mkdir()
     for name in ("camera_field.yaml", "camera_field_marks.csv", "field/1.png", "field/2.png"):

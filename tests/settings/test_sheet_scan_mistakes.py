@@ -1,15 +1,12 @@
 """What a campaign file may say wrong about the scans of the light-sheet sensor."""
 
-from pathlib import Path
-from typing import Any
-
 import pytest
 import yaml
 
 from thalweg.core import ConfigError
 from thalweg.settings.load import load_campaign
 
-SCAN: dict[str, Any] = {
+SCAN = {
     "images": ["wreck"],
     "pulses": ["wreck/pulses.csv"],
     "panel": ["panel.csv"],
@@ -18,7 +15,7 @@ SCAN: dict[str, Any] = {
     "reference": ["wreck.ply"],
     "pairs": ["wreck/pairs.csv"],
 }
-BASIN: dict[str, Any] = {
+BASIN = {
     "sensor": ["sensor.yaml"],
     "camera_marks": ["camera_marks.csv"],
     "mark_points": ["mark_points.csv"],
@@ -27,7 +24,7 @@ BASIN: dict[str, Any] = {
 }
 
 
-def campaign(folder: Path, scans: Any) -> Path:
+def campaign(folder, scans):
     """A basin with all files that the good scan names."""
     (folder / "wreck").mkdir(exist_ok=True)
     (folder / "wreck" / "1.png").write_text("x")
@@ -45,7 +42,7 @@ def campaign(folder: Path, scans: Any) -> Path:
     return path
 
 
-def told(path: Path) -> str:
+def told(path):
     with pytest.raises(ConfigError) as caught:
         load_campaign(path)
     return str(caught.value)

@@ -2,7 +2,6 @@
 
 import subprocess
 import sys
-from pathlib import Path
 
 RUN = """\
 import sys
@@ -12,7 +11,7 @@ raise SystemExit(main(sys.argv[1:]))
 """
 
 
-def run(*arguments: str, repository: Path) -> subprocess.CompletedProcess[str]:
+def run(*arguments, repository):
     return subprocess.run(
         [sys.executable, "-c", RUN, *arguments], cwd=repository, capture_output=True, text=True, check=False
     )

@@ -1,7 +1,5 @@
 """The code version of a rule follows the modules that its script reaches, and nothing else."""
 
-from pathlib import Path
-
 import pytest
 
 from thalweg.core import InputError
@@ -22,7 +20,7 @@ FILES = {
 }
 
 
-def versions(root: Path) -> dict[str, str]:
+def versions(root):
     for cached in vars(codehash).values():
         if hasattr(cached, "cache_clear"):
             cached.cache_clear()

@@ -67,7 +67,7 @@ IDENTITY = {
 }
 
 
-def campaign(**sections: object) -> CampaignFiles:
+def campaign(**sections):
     """A campaign of real logs, whose files are not looked at."""
     found = Campaign.model_validate_json(json.dumps({"campaign": IDENTITY, **sections}))
     return CampaignFiles(name="boat", campaigns={"boat": found})

@@ -25,7 +25,7 @@ class FakeJob:
     rule = "double"
     threads = 1
 
-    def __init__(self, folder: Path, **params: object) -> None:
+    def __init__(self, folder, **params):
         (folder / "in.txt").write_text("21")
         self.input = InputFiles([str(folder / "in.txt")] * 2)
         self.input._set_name("number", 0)
@@ -35,7 +35,7 @@ class FakeJob:
         self.params = Params(fromdict={"code": "abc", "factor": 2, **params})
 
 
-def double(*, number: Path, several: list[Path], result: Path, factor: int, offset: int = 0) -> None:
+def double(*, number, several, result, factor, offset=0):
     result.write_text(str(int(number.read_text()) * factor + offset))
     assert several == [number]
 

@@ -9,7 +9,6 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-from typing import Any
 
 import pytest
 from snakemake.iocontainers import InputFiles, Log, OutputFiles, Params
@@ -27,7 +26,7 @@ class Job:
 
     rule, threads = "several", 1
 
-    def __init__(self, folder: Path, version: str = "new") -> None:
+    def __init__(self, folder, version="new"):
         (folder / "in.txt").write_text("21")
         self.input = InputFiles(fromdict={"number": str(folder / "in.txt")})
         names = dict(zip(("table", "cloud", "pictures"), FINAL, strict=True))
@@ -38,7 +37,7 @@ class Job:
         )
 
 
-def several(*, number: Path, table: Path, cloud: Path, pictures: Path, version: str, folder: str) -> None:
+def several(*, number, table, cloud, pictures, version, folder):
     """Write in pieces, as writers do; the folder that it is given is that of the table."""
     assert Path(folder) == table.parent
     with table.open("w") as file:
@@ -52,7 +51,7 @@ def several(*, number: Path, table: Path, cloud: Path, pictures: Path, version: 
     cloud.write_text(version * 1000)
 
 
-def found(folder: Path) -> dict[str, str]:
+def found(folder):
     """Texts of all files under final names, without provenance."""
     files = sorted(p for p in (folder / "results").rglob("*") if p.is_file() and ".part-" not in str(p))
     return {
@@ -62,7 +61,7 @@ def found(folder: Path) -> dict[str, str]:
     }
 
 
-def whole(version: str) -> dict[str, str]:
+def whole(version):
     return {
         "deep/cloud.laz": version * 1000,
         "pictures/0.png": f"{version} 21",
@@ -71,11 +70,11 @@ def whole(version: str) -> dict[str, str]:
     }
 
 
-def left_over(folder: Path) -> list[Path]:
+def left_over(folder):
     return [p for p in folder.rglob("*") if ".part-" in str(p)]
 
 
-def be_quiet(monkeypatch: pytest.MonkeyPatch) -> None:
+def be_quiet(monkeypatch):
     """No log, no commit asked for, the same threads: what these tests do not look at."""
     monkeypatch.setattr(sys, "excepthook", sys.excepthook)
     monkeypatch.setattr("thalweg.workflow.job._start_log", lambda path: None)
@@ -87,11 +86,11 @@ def be_quiet(monkeypatch: pytest.MonkeyPatch) -> None:
 _quiet = pytest.fixture(be_quiet, autouse=True)
 
 
-def _dies_at(moment: int, folder: Path) -> None:
+def _dies_at(moment, folder):
     """Run the job, and die as by ``kill -9`` at some access of the file system."""
     seen = 0
 
-    def heard(event: str, arguments: tuple[Any, ...]) -> None:
+    def heard(event, arguments):
         nonlocal seen
         if event.startswith(("open", "os.", "shutil.")) and any(str(folder) in str(a) for a in arguments):
             seen += 1
@@ -118,14 +117,14 @@ def test_a_job_killed_at_any_moment_leaves_whole_outputs_or_none(tmp_path):
     assert run.returncode == 0, run.stderr
 
 
-def kill_at_each_moment() -> None:
+def kill_at_each_moment():
     """At each access of the file system, one after the other; outputs of an earlier run were there before."""
     with pytest.MonkeyPatch.context() as monkeypatch:
         be_quiet(monkeypatch)
         _kill_at_each_moment(Path(sys.argv[1]))
 
 
-def _kill_at_each_moment(tmp_path: Path) -> None:
+def _kill_at_each_moment(tmp_path):
     fork, outcomes = multiprocessing.get_context("fork"), set()
     old, job = tmp_path / "old", tmp_path / "job"
     old.mkdir()
@@ -241,14 +240,14 @@ def small_disk(tmp_path):
     subprocess.run(["umount", str(folder)], check=True)
 
 
-def _fills(*, table: Path) -> None:
+def _fills(*, table):
     with table.open("wb") as file:
         for _ in range(64):
             file.write(bytes(1 << 16))
             file.flush()
 
 
-def _fills_in_other_words(*, table: Path) -> None:
+def _fills_in_other_words(*, table):
     try:
         _fills(table=table)
     except OSError as error:
@@ -333,7 +332,7 @@ run_job(main, snakemake)
 """
 
 
-def _workflow(folder: Path) -> Path:
+def _workflow(folder):
     folder.mkdir()
     (folder / "Snakefile").write_text(SNAKEFILE)
     (folder / "first.py").write_text(FIRST)
@@ -341,7 +340,7 @@ def _workflow(folder: Path) -> Path:
     return folder
 
 
-def _snakemake(folder: Path, *words: str, environment: dict[str, str] | None = None) -> subprocess.Popen[str]:
+def _snakemake(folder, *words, environment=None):
     command = [sys.executable, "-m", "snakemake", "--cores", "1", "--quiet", *words]
     return subprocess.Popen(
         command,
@@ -354,7 +353,7 @@ def _snakemake(folder: Path, *words: str, environment: dict[str, str] | None = N
     )
 
 
-def _ends_well(run: subprocess.Popen[str]) -> None:
+def _ends_well(run):
     said = run.communicate()[0]
     assert run.returncode == 0, said
 

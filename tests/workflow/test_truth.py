@@ -3,9 +3,6 @@
 import contextlib
 import json
 import shutil
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
 
 import cv2
 import laspy
@@ -49,7 +46,7 @@ def truth(tmp_path_factory):
     return folder
 
 
-READERS: dict[str, Callable[[Path], Any]] = {
+READERS = {
     "trajectory": lambda truth: Trajectory.read(truth / "trajectory.parquet"),
     "any Parquet": lambda truth: read_parquet(truth / "trajectory.parquet"),
     "NumPy": lambda truth: np.load(truth / "scene.npz"),
@@ -75,7 +72,7 @@ class Job:
 
     threads = 1
 
-    def __init__(self, folder: Path, rule: str, *, scene: Path, **params: object) -> None:
+    def __init__(self, folder, rule, *, scene, **params):
         self.rule = rule
         self.input = InputFiles(fromdict={"scene": str(scene)})
         self.output = OutputFiles(fromdict={"result": str(folder / "out.txt")})
@@ -89,7 +86,7 @@ def _no_log(monkeypatch):
     monkeypatch.setattr("thalweg.workflow.job._limit_threads", lambda threads: None)
 
 
-def copy_text(*, scene: Path, result: Path, mounts: str = "", deep: Any = None) -> None:
+def copy_text(*, scene, result, mounts="", deep=None):
     result.write_text(scene.read_text())
 
 
