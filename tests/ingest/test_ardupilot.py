@@ -204,10 +204,8 @@ def test_soundings_of_a_log_make_a_bed(boat):
     assert any("without a position at their time" in note for note in soundings.notes)
 
 
-def telemetry(
-    *, unix_s = 1.7e9, component = 1, system = 1, n = 100, ranges_cm = (),
-    signed = False,
-) :  # fmt: skip
+def telemetry(*, unix_s=1.7e9, component=1, system=1, n=100, ranges_cm=(), signed=False, said=()):
+    """Five a second; of the eighth a receiver without heights and sigmas, of the ninth no place."""
     vehicle = mavlink.MAVLink(None, srcSystem=system, srcComponent=component)
     if signed:  # 13 bytes more behind each
         vehicle.signing.secret_key, vehicle.signing.sign_outgoing = bytes(32), True
@@ -216,19 +214,21 @@ def telemetry(
     def say(message, t_s):
         out.append(struct.pack(">Q", round(1e6 * (1.65e9 + t_s))) + message.pack(vehicle))
 
+    for text in said:
+        say(mavlink.MAVLink_statustext_message(6, text), 0.0)
     for k in range(n):
         boot_ms, t_s = 20_000 + 200 * k, 0.2 * k
         place = (round(1e7 * (51 + 2e-6 * k)), round(1e7 * (13 + 1e-6 * k)))
         say(mavlink.MAVLink_system_time_message(round(1e6 * (unix_s + t_s)) if unix_s else 0, boot_ms), t_s)
         say(mavlink.MAVLink_attitude_message(boot_ms, 0.01, -0.02, -1.0, 0.1, 0.2, 0.3), t_s)
-        say(
-            mavlink.MAVLink_global_position_int_message(boot_ms, *place, 101_000, 1_000, 100, 50, 0, 30_000),
-            t_s,
-        )
-        raw = (1000 * boot_ms, 6, *place, 101_000, 80, 90, 100, 0, 15)
-        say(mavlink.MAVLink_gps_raw_int_message(*raw, alt_ellipsoid=147_500, h_acc=28, v_acc=40), t_s)
+        there = (*((0, 0) if k == 8 else place), 101_000, 1_000, 100, 50, -20, 30_000)
+        say(mavlink.MAVLink_global_position_int_message(boot_ms, *there), t_s)
+        fix, n_sats, *more = (3, 255, 0, 0, 0) if k == 7 else (6, 15, 147_500, 28, 40)
+        raw = (1000 * boot_ms, fix, *place, 101_000, 80, 90, 100, 0, n_sats)
+        say(mavlink.MAVLink_gps_raw_int_message(*raw, *more), t_s)
         for number, cm in enumerate(ranges_cm[k] if ranges_cm else ()):
             say(mavlink.MAVLink_distance_sensor_message(boot_ms, 30, 5000, cm, 1, number, 25, 0), t_s)
+            say(mavlink.MAVLink_distance_sensor_message(boot_ms, 30, 5000, 900, 1, number, 0, 0), t_s)
         if not ranges_cm:
             depth = (boot_ms, 0, k != 3, *place, 101.0, 0.0, 0.0, 0.0, 2.5, 12.0)
             say(mavlink.MAVLink_water_depth_message(*depth), t_s)
@@ -240,15 +240,23 @@ def telemetry(
 
 def test_telemetry_gives_the_same_tables(tmp_path):
     path = tmp_path / "flight.tlog"
-    path.write_bytes(telemetry())
+    path.write_bytes(telemetry(said=(b"hello", b"ArduRover V4")))
     assert recognise(path) == "mavlink"
     log = read_ardupilot([path], TrackOptions())
     state = log.states.iloc[50]
     assert state.t_gps_s == pytest.approx(float(gps_from_unix(1.7e9 + 10.0)), abs=1e-3)
     assert (state.roll_rad, state.pitch_rad) == pytest.approx((0.01, -0.02))
     assert state.heading_rad == pytest.approx(2 * np.pi - 1.0)
-    assert (state.v_north_mps, state.v_east_mps, state.rate_z_radps) == pytest.approx((1.0, 0.5, 0.3))
+    assert (state.v_north_mps, state.v_east_mps, state.v_down_mps) == pytest.approx((1.0, 0.5, -0.2))
+    rates = (state.rate_x_radps, state.rate_y_radps, state.rate_z_radps)
+    assert rates == pytest.approx((0.1, 0.2, 0.3))
     assert state.h_ell_m == pytest.approx(147.5)
+    assert state.lat_deg == pytest.approx(51.0001, abs=1e-9)
+    assert log.states["lat_deg"].iloc[8] == pytest.approx(51.000016, abs=2e-7)  # between its neighbours
+    assert log.report.model == "ArduRover V4"
+    fixes = log.positions[["fix", "n_sats", "h_ell_m", "sigma_east_m", "sigma_up_m"]].iloc[6:8]
+    expected = [["fixed", 15, 147.5, 0.028 / np.sqrt(2), 0.04], ["single", -1, None, None, None]]
+    assert fixes.replace({np.nan: None}).to_numpy().tolist() == expected
     assert (state.sigma_north_m, state.sigma_up_m) == pytest.approx((0.028 / np.sqrt(2), 0.040))
     assert log.depths["depth_m"].value_counts().to_dict() == {2.5: 99, 0.0: 1}
     assert log.triggers_gps_s == pytest.approx([float(gps_from_unix(1.7e9 + 4.0))] * 2, abs=1e-3)

@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 from numpy.testing import assert_allclose
 
-from thalweg.core import gps_from_unix, gps_from_week
+from thalweg.core import gps_from_week
 from thalweg.ingest import NAVIGATION_INITIALISED, IntegrityReport
 from thalweg.ingest.recorders.ardupilot import (
     _dataflash_fixes,
@@ -18,7 +18,6 @@ from thalweg.ingest.recorders.ardupilot import (
     _joined,
     _nearest,
     _of_dataflash,
-    _of_telemetry,
     _on_earth,
     _states,
 )
@@ -197,58 +196,6 @@ def test_a_dataflash_log_by_hand():
     found = _of_dataflash(dataflash(RFND=bare, DPTH=depth), told)[3]
     assert found[["depth_m", "sentence"]].to_numpy().tolist() == [[7.0, "DPTH"]]
     assert len(_of_dataflash({}, report())[3]) == 0
-
-
-def test_telemetry_by_hand():
-    """Integers with their scales; 255 satellites, heights and accuracies of 0 are none."""
-    raw = pd.DataFrame(
-        {
-            "t_s": [1.0, 2.0], "t_host_s": [0.0, 0.0], "lat": [510_000_000] * 2, "lon": [130_000_000] * 2,
-            "alt": [100_000, 101_000], "alt_ellipsoid": [146_500, 0], "fix_type": [6, 3],
-            "satellites_visible": [12, 255], "h_acc": [20, 0], "v_acc": [30, 0],
-        }
-    )  # fmt: skip
-    place = pd.DataFrame(
-        {
-            "t_s": [1.0, 2.0], "lat": [510_000_000, 0], "lon": [130_000_000, 0], "alt": [100_500, 0],
-            "vx": [100, 0], "vy": [-200, 0], "vz": [50, 0],
-        }
-    )  # fmt: skip
-    spoken = pd.DataFrame(
-        {
-            "t_s": [1.0], "t_host_s": [0.0], "roll": [0.1], "pitch": [0.2], "yaw": [0.3], "rollspeed": [1.0],
-            "pitchspeed": [2.0], "yawspeed": [3.0],
-        }
-    )  # fmt: skip
-    clock = pd.DataFrame(
-        {"t_s": [1.0, 2.0, 3.0], "time_unix_usec": [1.7e15 + 1e6, 1.7e15 + 2e6, 1.7e15 + 3e6]}
-    )
-    down = pd.DataFrame({"t_s": [1.0, 2.0], "orientation": [25, 0], "current_distance": [150, 900]})
-    down = down.assign(min_distance=30, max_distance=5000)
-    words = pd.DataFrame({"t_s": [1.0, 2.0], "text": ["hello", "ArduRover V4"]})
-    log = {
-        "GPS_RAW_INT": raw, "GLOBAL_POSITION_INT": place, "ATTITUDE": spoken, "SYSTEM_TIME": clock,
-        "DISTANCE_SENSOR": down, "STATUSTEXT": words,
-    }  # fmt: skip
-    told = report()
-    attitude, found, fixes, depths, offset_s = _of_telemetry(log, told)
-    assert offset_s == pytest.approx(float(gps_from_unix(1.7e9)))
-    names = ("roll_rad", "pitch_rad", "yaw_rad", "rate_x_radps", "rate_y_radps", "rate_z_radps")
-    assert attitude[list(names)].iloc[0].tolist() == [0.1, 0.2, 0.3, 1.0, 2.0, 3.0]
-    names = ("lat_deg", "lon_deg", "alt_m", "v_north_mps", "v_east_mps", "v_down_mps")
-    assert found[list(names)].iloc[0].tolist() == pytest.approx([51.0, 13.0, 100.5, 1.0, -2.0, 0.5])
-    assert len(found) == 1
-    assert fixes["fix"].tolist() == ["fixed", "single"]
-    assert fixes["n_sats"].tolist() == [12, -1]
-    assert_allclose(fixes["h_ell_m"], [146.5, np.nan])
-    assert_allclose(fixes["alt_m"], [100.0, 101.0])
-    assert_allclose(fixes["sigma_east_m"], [0.02 / math.sqrt(2), np.nan])
-    assert_allclose(fixes["sigma_up_m"], [0.03, np.nan])
-    assert_allclose(fixes["t_gps_s"], offset_s + np.array([1.0, 2.0]))
-    assert depths["depth_m"].tolist() == [1.5]
-    assert told.model == "ArduRover V4"
-    water = pd.DataFrame({"t_s": [1.0, 2.0], "distance": [3.0, 4.0], "healthy": [1, 0]})
-    assert _of_telemetry({**log, "WATER_DEPTH": water}, told)[3]["depth_m"].tolist() == [3.0, 0.0]
 
 
 # ---------------------------------------------------------------- sounders
