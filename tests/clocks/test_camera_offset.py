@@ -276,25 +276,16 @@ def test_poses_in_another_frame_are_refused():
 def test_gaps_of_the_positions_are_counted_and_too_many_refused():
     run = simulate(6, 80)
     t = run.track.t_gps_s - T0
-    keep = ~((t > 40) & (t < 52))
-    track = replace(
-        run.track,
-        t_gps_s=run.track.t_gps_s[keep],
-        position_m=run.track.position_m[keep],
-        cov_m2=run.track.cov_m2[keep],
-    )
-    found = camera_offset(run.poses, track, field_error=run.field)
+
+    def only(keep):
+        names = "t_gps_s", "position_m", "cov_m2"
+        return replace(run.track, **{name: getattr(run.track, name)[keep] for name in names})
+
+    found = camera_offset(run.poses, only((t <= 40) | (t >= 52)), field_error=run.field)
     gap = found.images["reason"] == "outside the positions or in a gap of them"
     assert 12 <= gap.sum() <= 14
-    keep = (t * 10).round().astype(int) % 100 < 8
-    holes = replace(
-        run.track,
-        t_gps_s=run.track.t_gps_s[keep],
-        position_m=run.track.position_m[keep],
-        cov_m2=run.track.cov_m2[keep],
-    )
     with pytest.raises(CoverageError, match="lie where positions are complete"):
-        camera_offset(run.poses, holes)
+        camera_offset(run.poses, only((t * 10).round().astype(int) % 100 < 8))
     with pytest.raises(ClockError, match="5 images"):
         camera_offset(run.poses.take(np.arange(5)), run.track)
 
