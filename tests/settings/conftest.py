@@ -1,9 +1,6 @@
 """A good campaign of a real survey, whose logs are small dummy files, and a way to spoil it."""
 
 import copy
-from collections.abc import Callable
-from pathlib import Path
-
 import pytest
 import yaml
 
@@ -45,8 +42,6 @@ GOOD = {
 
 REMOVE = object()
 """Stands for a key that is taken out."""
-
-Spoil = Callable[..., Path]
 
 
 def patched(changes):

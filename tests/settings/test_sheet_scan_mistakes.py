@@ -3,7 +3,7 @@
 import pytest
 import yaml
 
-from thalweg.core import ConfigError
+from tests.settings.test_light_sheet_mistakes import told
 from thalweg.settings.load import load_campaign
 
 SCAN = {
@@ -40,12 +40,6 @@ def campaign(folder, scans):
     path = folder / "good.yaml"
     path.write_text(yaml.safe_dump(data))
     return path
-
-
-def told(path):
-    with pytest.raises(ConfigError) as caught:
-        load_campaign(path)
-    return str(caught.value)
 
 
 def test_a_complete_scan_has_absolute_paths(tmp_path):

@@ -39,6 +39,10 @@ def own_cache(tmp_path_factory, monkeypatch):
     return place
 
 
+def changed(before, after):
+    return [name for name in before if before[name] != after[name]]
+
+
 @pytest.fixture
 def house(tmp_path):
     for name, text in FILES.items():
@@ -51,10 +55,12 @@ def test_an_edit_reaches_exactly_its_users(house):
     before = versions(house)
     (house / "pkg/core/a.py").write_text("def f():\n    return 2\n")
     after = versions(house)
-    assert [name for name in before if before[name] != after[name]] == ["direct", "lazy"]
+    assert changed(before, after) == ["direct", "lazy"]
     (house / "pkg/figures/c.py").write_text("x = 2\n")
     last = versions(house)
-    assert [name for name in after if after[name] != last[name]] == ["picture"]
+    assert changed(after, last) == ["picture"]
+    (house / "pkg/figures/look.mplstyle").write_text("font.size: 8\n")
+    assert changed(last, versions(house)) == ["picture"]
 
 
 def test_what_a_script_calls_by_name_counts(house):
@@ -73,10 +79,10 @@ def test_what_a_script_calls_by_name_counts(house):
     assert len(set(before.values())) == 3
     (house / "pkg/figures/c.py").write_text("x = 2\n")
     after = drawn()
-    assert [name for name in before if before[name] != after[name]] == ["pkg.figures.c:draw"]
+    assert changed(before, after) == ["pkg.figures.c:draw"]
     (house / "pkg/core/a.py").write_text("def f():\n    return 2\n")
     last = drawn()
-    assert [name for name in after if after[name] != last[name]] == ["pkg.lidar.b:f", "pkg.lidar.lazy:g"]
+    assert changed(after, last) == ["pkg.lidar.b:f", "pkg.lidar.lazy:g"]
     (house / "pkg/figures/look.mplstyle").write_text("font.size: 8\n")
     assert [name for name in last if drawn()[name] != last[name]] == ["pkg.figures.c:draw"]
 
@@ -84,13 +90,6 @@ def test_what_a_script_calls_by_name_counts(house):
 def test_an_unknown_module_is_named(house):
     with pytest.raises(InputError, match=r"no module pkg\.figures\.nothing"):
         codehash.code_version("picture", "pkg.figures.nothing:f", scripts=house / "scripts", source=house)
-
-
-def test_a_style_file_counts_as_code(house):
-    before = versions(house)
-    (house / "pkg/figures/look.mplstyle").write_text("font.size: 8\n")
-    after = versions(house)
-    assert [name for name in before if before[name] != after[name]] == ["picture"]
 
 
 def test_a_name_from_a_front_door_counts_as_its_module(house):
@@ -103,7 +102,7 @@ def test_a_name_from_a_front_door_counts_as_its_module(house):
     assert versions(house) == before
     (house / "pkg/core/a.py").write_text("def f():\n    return 2\n")
     after = versions(house)
-    assert [name for name in before if before[name] != after[name]] == ["direct", "lazy"]
+    assert changed(before, after) == ["direct", "lazy"]
 
 
 def test_words_cost_no_rerun(house):

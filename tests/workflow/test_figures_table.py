@@ -1,7 +1,6 @@
 """The table of all pictures: what it gives to the rules, and how its mistakes are told."""
 
 import inspect
-import json
 import re
 from collections.abc import Sequence
 from importlib import import_module
@@ -12,8 +11,9 @@ from typing import get_origin, get_type_hints
 import pytest
 from matplotlib.figure import Figure as Drawing
 
+from tests.workflow.test_campaign_files import survey
 from thalweg.core import ConfigError, read_yaml
-from thalweg.settings import Campaign, load_campaigns, with_calibrations
+from thalweg.settings import load_campaigns, with_calibrations
 from thalweg.workflow import CampaignFiles, read_figures
 from thalweg.workflow.figures import Figures, rows_of
 from thalweg_lab.campaign_files import twin_logs
@@ -59,23 +59,9 @@ study:
     caption: A study.
 """
 
-IDENTITY = {
-    "id": "boat",
-    "title": "t",
-    "crs": "EPSG:25833",
-    "origin": {"lat_deg": 51.0, "lon_deg": 13.0, "h_ell_m": 300.0},
-}
-
-
-def campaign(**sections):
-    """A campaign of real logs, whose files are not looked at."""
-    found = Campaign.model_validate_json(json.dumps({"campaign": IDENTITY, **sections}))
-    return CampaignFiles(name="boat", campaigns={"boat": found})
-
-
-SURVEY = campaign(logs={"lidar": ["a.pcap"], "ins": ["a.anpp"]})
-REFERENCED = campaign(logs={"lidar": ["a.pcap"], "ins": ["a.anpp"], "reference": ["a.laz"]})
-BASIN = campaign(
+SURVEY = survey(logs={"lidar": ["a.pcap"], "ins": ["a.anpp"]})
+REFERENCED = survey(logs={"lidar": ["a.pcap"], "ins": ["a.anpp"], "reference": ["a.laz"]})
+BASIN = survey(
     logs={
         "light_sheet": {
             "grid_images": ["g"],
@@ -136,7 +122,7 @@ def test_a_row_gives_its_rule_what_it_needs(read):
 
 
 def test_pictures_are_kept_in_the_formats_that_are_asked_for(read):
-    boat = campaign(logs={"lidar": ["a.pcap"], "reference": ["a.laz"]}, figures={"formats": ["pdf", "svg"]})
+    boat = survey(logs={"lidar": ["a.pcap"], "reference": ["a.laz"]}, figures={"formats": ["pdf", "svg"]})
     kept = ["results/boat/figures/map.png", "results/boat/figures/map.pdf", "results/boat/figures/map.svg"]
     assert read(GOOD).files_to_keep(boat) == kept
     assert read(GOOD).files_to_keep(REFERENCED) == kept[:1] == read(GOOD).files(boat)
@@ -299,5 +285,5 @@ def test_what_the_shipped_campaigns_show(repository):
     (row,) = [row for row in table.rows if row.name == "change_map"]
     changes = row.input_files(of)["changes"](SimpleNamespace(campaign="tiny_change"))
     assert changes == ["results/tiny_change/deformation/changes_1-2.parquet"]
-    boards = campaign(logs={"calibration": {"display": ["d"], "board_images": ["b"]}})
+    boards = survey(logs={"calibration": {"display": ["d"], "board_images": ["b"]}})
     assert table.files(boards) == []
