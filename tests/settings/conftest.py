@@ -1,6 +1,7 @@
 """A good campaign of a real survey, whose logs are small dummy files, and a way to spoil it."""
 
 import copy
+
 import pytest
 import yaml
 
