@@ -5,8 +5,10 @@ import os
 import runpy
 import subprocess
 import sys
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import pandas as pd
 import pyarrow as pa
@@ -25,7 +27,7 @@ class FakeJob:
     rule = "double"
     threads = 1
 
-    def __init__(self, folder, **params):
+    def __init__(self, folder: Path, **params: object) -> None:
         (folder / "in.txt").write_text("21")
         self.input = InputFiles([str(folder / "in.txt")] * 2)
         self.input._set_name("number", 0)
@@ -35,7 +37,7 @@ class FakeJob:
         self.params = Params(fromdict={"code": "abc", "factor": 2, **params})
 
 
-def double(*, number, several, result, factor, offset=0):
+def double(*, number: Path, several: list[Path], result: Path, factor: int, offset: int = 0) -> None:
     result.write_text(str(int(number.read_text()) * factor + offset))
     assert several == [number]
 
@@ -61,7 +63,14 @@ def test_keywords_come_from_the_rule(tmp_path):
 def test_files_become_what_a_keyword_asks_for(tmp_path):
     """Tables whose names are words, JSON, facts beside a table, what may be missing, lists of any length."""
 
-    def main(*, table, facts, beside, truth, more): ...
+    def main(
+        *,
+        table: pd.DataFrame,
+        facts: Mapping[str, Any],
+        beside: Mapping[str, Any],
+        truth: pd.DataFrame | None,
+        more: Mapping[str, Path] | Sequence[Path],
+    ) -> None: ...
 
     (tmp_path / "a.csv").write_text("point,x\n007,1.5\n")
     (tmp_path / "a.json").write_text('{"n": 3}')
@@ -77,14 +86,14 @@ def test_files_become_what_a_keyword_asks_for(tmp_path):
 
 
 def test_a_keyword_without_counterpart_is_named(tmp_path):
-    def main(*, result, missing): ...
+    def main(*, result: Path, missing: int) -> None: ...
 
     with pytest.raises(InputError, match="rule double: the script asks for 'missing'"):
         job_arguments(main, FakeJob(tmp_path))
 
 
 def test_plain_values_become_the_section_that_a_keyword_names(tmp_path):
-    def main(*, filters, lidar, area, plain): ...
+    def main(*, filters: Filters, lidar: Lidar | None, area: Lidar | None, plain: dict[str, Any]) -> None: ...
 
     values = {"isolated_neighbours": 5}
     job = FakeJob(tmp_path, filters=values, lidar={"data_port": 99}, area=None, plain=values)
@@ -123,7 +132,7 @@ def test_linear_algebra_has_one_thread_whatever_the_job_has(tmp_path):
 
 
 def test_a_job_that_writes_nothing_fails(tmp_path):
-    def main(*, number): ...
+    def main(*, number: Path) -> None: ...
 
     with pytest.raises(InputError, match="outputs were not written"):
         run_job(main, FakeJob(tmp_path))

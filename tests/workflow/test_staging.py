@@ -37,7 +37,7 @@ class Job:
         )
 
 
-def several(*, number, table, cloud, pictures, version, folder):
+def several(*, number: Path, table: Path, cloud: Path, pictures: Path, version: str, folder: str) -> None:
     """Write in pieces, as writers do; the folder that it is given is that of the table."""
     assert Path(folder) == table.parent
     with table.open("w") as file:
@@ -170,7 +170,7 @@ def test_what_libraries_leave_beside_an_output_goes(tmp_path, caplog):
 def test_a_job_that_fails_leaves_what_was_there(tmp_path):
     run_job(several, Job(tmp_path, "old"))
 
-    def fails(*, table):
+    def fails(*, table: Path) -> None:
         table.write_text("half")
         raise InputError("17 bytes", where=table)
 
@@ -181,7 +181,7 @@ def test_a_job_that_fails_leaves_what_was_there(tmp_path):
 
 
 def test_an_input_that_changes_meanwhile_is_refused(tmp_path):
-    def slow(*, number, table, cloud, pictures, version, folder):
+    def slow(*, number: Path, table: Path, cloud: Path, pictures: Path, version: str, folder: str) -> None:
         several(number=number, table=table, cloud=cloud, pictures=pictures, version=version, folder=folder)
         number.write_text("2100")
 
@@ -195,7 +195,7 @@ def test_a_flipped_byte_in_an_input_is_told(tmp_path, monkeypatch):
     """In a file or in a folder; what Snakemake adds to a folder does not count, nor does a copy elsewhere."""
     monkeypatch.chdir(tmp_path)
 
-    def reads(*, pictures, cloud, joined):
+    def reads(*, pictures: Path, cloud: Path, joined: Path) -> None:
         joined.write_text(cloud.read_text() + (pictures / "1.png").read_text())
 
     class Next(Job):
@@ -240,14 +240,14 @@ def small_disk(tmp_path):
     subprocess.run(["umount", str(folder)], check=True)
 
 
-def _fills(*, table):
+def _fills(*, table: Path) -> None:
     with table.open("wb") as file:
         for _ in range(64):
             file.write(bytes(1 << 16))
             file.flush()
 
 
-def _fills_in_other_words(*, table):
+def _fills_in_other_words(*, table: Path) -> None:
     try:
         _fills(table=table)
     except OSError as error:

@@ -3,6 +3,8 @@
 import contextlib
 import json
 import shutil
+from pathlib import Path
+from typing import Any
 
 import cv2
 import laspy
@@ -86,7 +88,7 @@ def _no_log(monkeypatch):
     monkeypatch.setattr("thalweg.workflow.job._limit_threads", lambda threads: None)
 
 
-def copy_text(*, scene, result, mounts="", deep=None):
+def copy_text(*, scene: Path, result: Path, mounts: str = "", deep: Any = None) -> None:
     result.write_text(scene.read_text())
 
 
@@ -107,7 +109,7 @@ def test_a_path_among_the_params_is_refused(truth, tmp_path, params):
 
 @pytest.mark.parametrize("read", READERS.values(), ids=READERS)
 def test_a_path_that_the_script_computes_is_refused(truth, tmp_path, read):
-    def main(*, scene, result):
+    def main(*, scene: Path, result: Path) -> None:
         read(scene.parents[1] / "truth")
         result.write_text("done")
 
