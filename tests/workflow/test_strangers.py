@@ -3,6 +3,7 @@
 import os
 import struct
 import zlib
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -51,7 +52,7 @@ def test_names_of_logs_reach_no_shell(tmp_path, monkeypatch):
         log = Log([])
         params = Params(fromdict={"code": "1"})
 
-    def copy(*, source, target):
+    def copy(*, source: Path, target: Path) -> None:
         target.write_text(source.read_text())
 
     run_job(copy, Job())
