@@ -251,7 +251,8 @@ def test_telemetry_gives_the_same_tables(tmp_path):
     rates = (state.rate_x_radps, state.rate_y_radps, state.rate_z_radps)
     assert rates == pytest.approx((0.1, 0.2, 0.3))
     assert state.h_ell_m == pytest.approx(147.5)
-    assert state.lat_deg == pytest.approx(51.0001, abs=1e-9)
+    for row in (state, log.positions.iloc[50]):
+        assert (row.lat_deg, row.lon_deg) == pytest.approx((51.0001, 13.00005), abs=1e-9)
     assert log.states["lat_deg"].iloc[8] == pytest.approx(51.000016, abs=2e-7)  # between its neighbours
     assert log.report.model == "ArduRover V4"
     fixes = log.positions[["fix", "n_sats", "h_ell_m", "sigma_east_m", "sigma_up_m"]].iloc[6:8]
