@@ -72,8 +72,8 @@ def data_dir() -> Path:
 
 @pytest.fixture(scope="session")
 def fuzz_count() -> int:
-    """Mutated inputs per reader: 100 in the suite, THALWEG_FUZZ=10000 for the long run."""
-    return int(os.environ.get("THALWEG_FUZZ", "100"))
+    """Mutated inputs per reader: 40 in the suite, THALWEG_FUZZ=10000 for the long run."""
+    return int(os.environ.get("THALWEG_FUZZ", "40"))
 
 
 @pytest.fixture

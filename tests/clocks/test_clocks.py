@@ -1,10 +1,9 @@
 """One form for a clock; ties before and after a run; pulses of a hardware trigger."""
 
-from pathlib import Path
-
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.stats import chi2
 
 from thalweg.clocks import TIE_COLUMNS, ClockModel, clock_from_ties, read_number_columns, read_text_columns
@@ -21,21 +20,19 @@ from thalweg.core import ClockError, InputError
 T0 = 3.0e8
 
 
-def test_a_clock_and_its_sigma_at_any_time() -> None:
+def test_a_clock_and_its_sigma_at_any_time():
     clock = ClockModel(
         offset_s=-2.5, drift=20e-6, reference_s=T0, cov=np.array([[4e-6, 1e-9], [1e-9, 1e-12]]), jitter_s=0.02
     )
     t_gps, sigma = clock.to_gps([T0, T0 + 1000.0])
     # 5 ns: two roundings of a time of 3e8 s in float64 at 60 ns would be 1.2e-7
-    np.testing.assert_allclose(t_gps - T0, [-2.5, 1000.0 - 2.5 + 0.02], atol=1.2e-7)
+    assert_allclose(t_gps - T0, [-2.5, 1000.0 - 2.5 + 0.02], atol=1.2e-7)
     # 4e-6 + 2e-6 + 1e-6 of the clock, 4e-4 of the image
-    np.testing.assert_allclose(sigma, np.sqrt([4.04e-4, 4.07e-4]), rtol=1e-12)
-    np.testing.assert_allclose(
-        clock.to_gps([T0, T0 + 1000.0], jitter=False)[1], np.sqrt([4e-6, 7e-6]), rtol=1e-12
-    )
+    assert_allclose(sigma, np.sqrt([4.04e-4, 4.07e-4]), rtol=1e-12)
+    assert_allclose(clock.to_gps([T0, T0 + 1000.0], jitter=False)[1], np.sqrt([4e-6, 7e-6]), rtol=1e-12)
 
 
-def test_what_is_said_of_a_clock_and_its_images() -> None:
+def test_what_is_said_of_a_clock_and_its_images():
     clock = ClockModel(offset_s=0.0, reference_s=T0, cov=np.diag([4e-6, 1e-12]))
     assert clock.sigma_offset_s == pytest.approx(0.002)
     trigger = trigger_clock(t_first_s=T0, t_last_s=T0 + 20.0, delay_s=0.01, jitter_s=0.001)
@@ -58,7 +55,7 @@ def test_what_is_said_of_a_clock_and_its_images() -> None:
     assert _names(["a"] * (_NAMED + 2)).endswith("a and 2 more")
 
 
-def test_a_clock_survives_its_file(tmp_path: Path) -> None:
+def test_a_clock_survives_its_file(tmp_path):
     clock = ClockModel(
         offset_s=1.25,
         drift=-3e-6,
@@ -89,7 +86,7 @@ def test_a_clock_survives_its_file(tmp_path: Path) -> None:
         ("thalweg_clock: 1\noffset_s: 1\nreference_s: 0\ncov: [[1, 0], [0, -1]]\n", "covariance"),
     ],
 )
-def test_files_that_are_no_clock(tmp_path: Path, text: str, word: str) -> None:
+def test_files_that_are_no_clock(tmp_path, text, word):
     path = tmp_path / "clock.yaml"
     path.write_text(text)
     with pytest.raises(InputError, match=word):
@@ -98,7 +95,7 @@ def test_files_that_are_no_clock(tmp_path: Path, text: str, word: str) -> None:
         ClockModel.read(tmp_path / "absent.yaml")
 
 
-def test_two_ties_give_offset_and_drift_with_consistent_sigmas() -> None:
+def test_two_ties_give_offset_and_drift_with_consistent_sigmas():
     """Normalised errors over 200 seeds, between the ties and half an hour behind them."""
     rng = np.random.default_rng(5)
     sigma = np.array([0.004, 0.010])
@@ -114,38 +111,30 @@ def test_two_ties_give_offset_and_drift_with_consistent_sigmas() -> None:
     mean = np.mean(squares, axis=0)
     assert ((mean > low) & (mean < high)).all(), mean
     # behind the ties the drift takes over: sigma 1.5 sqrt(4^2 + 10^2) around the first tie and its like
-    np.testing.assert_allclose(predicted[[0, 2]], sigma, rtol=1e-9)
+    assert_allclose(predicted[[0, 2]], sigma, rtol=1e-9)
     assert predicted[3] > predicted[2] > predicted[1]
 
 
-def test_one_tie_gives_the_offset_only_and_says_so() -> None:
+def test_one_tie_gives_the_offset_only_and_says_so():
     clock = clock_from_ties([T0], [T0 + 2.0], 0.005, sigma_drift=50e-6)
     assert (clock.offset_s, clock.drift) == (2.0, 0.0)
     _, sigma = clock.to_gps([T0, T0 + 3600.0])
-    np.testing.assert_allclose(sigma, [0.005, np.hypot(0.005, 0.18)], rtol=1e-9)
+    assert_allclose(sigma, [0.005, np.hypot(0.005, 0.18)], rtol=1e-9)
     assert any("drift is not determined" in note and "180 ms" in note for note in clock.notes)
 
 
-def test_ties_that_are_not_on_a_line_name_the_worst() -> None:
-    t = T0 + np.arange(5) * 600.0
-    gps = t + 1.0
-    gps[3] += 0.1
-    with pytest.raises(ClockError, match=r"5 ties are not on a straight line: tie 4 is off by \+"):
-        clock_from_ties(t, gps, 0.005)
-
-
-def test_a_clock_that_was_set_in_between_is_refused() -> None:
+def test_a_clock_that_was_set_in_between_is_refused():
     with pytest.raises(ClockError, match=r"\+3600\.000 s .*a time zone.*was set in between"):
         clock_from_ties([T0, T0 + 7200.0], [T0 + 1.0, T0 + 7200.0 + 3601.0], 0.005)
 
 
-def test_an_offset_of_whole_hours_is_named() -> None:
+def test_an_offset_of_whole_hours_is_named():
     clock = clock_from_ties([T0, T0 + 600.0], [T0 - 7200.0, T0 + 600.0 - 7200.0], 0.005)
     assert any("-2:00 h: a time zone" in note for note in clock.notes)
     assert clock.offset_s == -7200.0  # stated, not corrected
 
 
-def test_ties_from_a_table(tmp_path: Path) -> None:
+def test_ties_from_a_table(tmp_path):
     path = tmp_path / "ties.csv"
     path.write_text("t_device_s,t_gps_s,sigma_s\n1,2.5,0.01\n11,12.5,0.01\n")
     assert read_number_columns(path, TIE_COLUMNS)[1].tolist() == [2.5, 12.5]
@@ -167,14 +156,14 @@ def test_ties_from_a_table(tmp_path: Path) -> None:
 # ---------------------------------------------------------------- trigger
 
 
-def pulses(rng: np.random.Generator, n: int = 60) -> np.ndarray:
+def pulses(rng, n=60):
     """Pulses every second, but for pauses that break the rhythm."""
     step = np.ones(n)
     step[[17, 31]] = (3.4, 2.7)
     return T0 + np.cumsum(step) + rng.uniform(0, 1)
 
 
-def test_images_find_their_pulses_with_losses_on_both_sides(tmp_path: Path) -> None:
+def test_images_find_their_pulses_with_losses_on_both_sides(tmp_path):
     rng = np.random.default_rng(2)
     pulse = pulses(rng)
     taken = np.delete(np.arange(60), [0, 5, 40])  # three pulses made no image
@@ -193,13 +182,13 @@ def test_images_find_their_pulses_with_losses_on_both_sides(tmp_path: Path) -> N
     assert ClockModel.read(tmp_path / "camera_clock.yaml").sigma_jitter_s == clock.sigma_jitter_s
 
 
-def test_a_perfect_rhythm_with_a_loss_at_an_end_is_refused() -> None:
+def test_a_perfect_rhythm_with_a_loss_at_an_end_is_refused():
     pulse = T0 + np.arange(30.0)
     with pytest.raises(ClockError, match=r"alignments .* fit alike"):
         match_pulses(pulse[1:] - 500.0, pulse)
 
 
-def test_pulses_of_another_run_are_refused() -> None:
+def test_pulses_of_another_run_are_refused():
     rng = np.random.default_rng(3)
     with pytest.raises(ClockError, match="at best"):
         match_pulses(np.sort(rng.uniform(0, 60, 40)), np.sort(rng.uniform(0, 6000, 40)), tolerance_s=0.02)
@@ -207,14 +196,7 @@ def test_pulses_of_another_run_are_refused() -> None:
         match_pulses([1.0, 2.0], [1.0, 2.0, 3.0])
 
 
-def test_a_trigger_has_no_offset_but_its_delay() -> None:
-    clock = trigger_clock(t_first_s=T0, t_last_s=T0 + 100, delay_s=0.003, jitter_s=2e-4)
-    t_gps, sigma = clock.to_gps([T0 + 50.0])
-    assert t_gps[0] - T0 == pytest.approx(50.003, abs=1e-7)  # 60 ns: float64 at 3e8 s
-    assert sigma[0] == pytest.approx(2e-4)
-
-
-def test_the_line_through_pulses_by_hand() -> None:
+def test_the_line_through_pulses_by_hand():
     """Six images, off by +1, -1, 0, 0, -1, +1 ms: no drift, 4 ms^2 over 4 degrees of freedom."""
     t = np.arange(6.0)
     pulse = t + 100.0 + 1e-3 * np.array([1.0, -1.0, 0.0, 0.0, -1.0, 1.0])
@@ -228,12 +210,12 @@ def test_the_line_through_pulses_by_hand() -> None:
     assert clock.jitter_s == pytest.approx(1e-3, rel=1e-6)
     assert clock.sigma_jitter_s == pytest.approx(1e-3 / np.sqrt(8), rel=1e-6)
     # 1 ms^2 / 6; 1 ms^2 over 2 (0.5^2 + 1.5^2 + 2.5^2) s^2
-    np.testing.assert_allclose(clock.cov, np.diag([1e-6 / 6, 1e-6 / 17.5]), rtol=1e-6)
+    assert_allclose(clock.cov, np.diag([1e-6 / 6, 1e-6 / 17.5]), rtol=1e-6)
     assert (clock.reference_s, clock.t_first_s, clock.t_last_s) == (2.5, 0.0, 5.0)
 
 
 @pytest.mark.parametrize(("square", "fits"), [(10.7, True), (10.95, False)])
-def test_three_ties_have_one_degree_of_freedom(square: float, fits: bool) -> None:
+def test_three_ties_have_one_degree_of_freedom(square, fits):
     """10.828 is exceeded by 0.1 % of chi-squares of one degree (Abramowitz and Stegun 1964, table 26.8).
 
     Off by +a, -2 a, +a the ties leave no slope and a sum of squares of 6 a^2.
@@ -246,15 +228,7 @@ def test_three_ties_have_one_degree_of_freedom(square: float, fits: bool) -> Non
             clock_from_ties([0.0, 100.0, 200.0], gps, 0.01)
 
 
-def test_a_few_images_are_found_among_many_pulses() -> None:
-    """Images 20 to 23 of thirty pulses whose intervals grow by 10 ms each."""
-    pulse = np.cumsum(1.0 + 0.01 * np.arange(30))
-    match = match_pulses(pulse[20:24] - 500.0, pulse, tolerance_s=0.001)
-    assert match.pulse.tolist() == [20, 21, 22, 23]
-    assert match.offset_s == pytest.approx(500.0)
-
-
-def test_the_worst_tie_may_be_late_or_early() -> None:
+def test_the_worst_tie_may_be_late_or_early():
     t = T0 + np.arange(5) * 600.0
     for error, words in ((0.1, r"tie 2 is off by \+"), (-0.1, "tie 2 is off by -")):
         with pytest.raises(ClockError, match=words):
@@ -262,7 +236,7 @@ def test_the_worst_tie_may_be_late_or_early() -> None:
 
 
 @pytest.mark.parametrize(("missing", "found"), [(50, True), (51, False)])
-def test_up_to_fifty_pulses_may_lie_before_the_first_image(missing: int, found: bool) -> None:
+def test_up_to_fifty_pulses_may_lie_before_the_first_image(missing, found):
     """200 pulses and 200 images, with intervals that grow by 10 ms each: no other alignment fits."""
     pulse = np.cumsum(1.0 + 0.01 * np.arange(260))
     images = pulse[missing : missing + 200] - 500.0
@@ -275,20 +249,12 @@ def test_up_to_fifty_pulses_may_lie_before_the_first_image(missing: int, found: 
             match_pulses(images, pulse[:200], tolerance_s=0.001)
 
 
-def test_one_tie_without_sigma_is_refused() -> None:
+def test_one_tie_without_sigma_is_refused():
     with pytest.raises(ClockError, match="a sigma above 0"):
         clock_from_ties([T0, T0 + 600.0], [T0, T0 + 600.0], [0.005, 0.0])
 
 
-def test_three_pulses_leave_one_degree_of_freedom() -> None:
-    """Off by +1, -2, +1 ms: no drift, and 6 ms^2 over one degree."""
-    t = np.arange(3.0)
-    pulse = t + 100.0 + 1e-3 * np.array([1.0, -2.0, 1.0])
-    clock = clock_from_pulses(t, pulse, match_pulses(t, pulse))
-    assert clock.jitter_s == pytest.approx(np.sqrt(6) * 1e-3, rel=1e-6)
-
-
-def test_pauses_do_not_widen_what_counts_as_near() -> None:
+def test_pauses_do_not_widen_what_counts_as_near():
     """Pulses each second but for a pause of 100 s; one without image, and an image by hand 0.4 s after it."""
     pulse = np.r_[np.arange(20.0), 120.0 + np.arange(20.0)]
     image = pulse - 500.0
@@ -297,7 +263,7 @@ def test_pauses_do_not_widen_what_counts_as_near() -> None:
     assert np.flatnonzero(match.pulse < 0).tolist() == [5]
 
 
-def test_images_of_the_end_of_many_pulses_are_found() -> None:
+def test_images_of_the_end_of_many_pulses_are_found():
     """Twenty images of pulses 75 to 94 of a hundred; more than fifty may be missing where there are more."""
     pulse = np.cumsum(1.0 + 0.01 * np.arange(100))
     match = match_pulses(pulse[75:95] - 500.0, pulse, tolerance_s=0.001)
@@ -306,19 +272,19 @@ def test_images_of_the_end_of_many_pulses_are_found() -> None:
     assert (match.images_without_pulse, match.pulses_without_image) == (0, 80)
 
 
-def test_a_trigger_without_delay_is_without_error() -> None:
+def test_a_trigger_without_delay_is_without_error():
     clock = trigger_clock(t_first_s=T0, t_last_s=T0 + 100)
     assert (clock.offset_s, clock.drift, clock.jitter_s) == (0.0, 0.0, 0.0)
-    np.testing.assert_array_equal(clock.cov, np.zeros((2, 2)))
+    assert_array_equal(clock.cov, np.zeros((2, 2)))
     assert (clock.reference_s, clock.t_first_s, clock.t_last_s) == (T0 + 50, T0, T0 + 100)
     assert "delay" not in clock.source
     late = trigger_clock(t_first_s=T0, t_last_s=T0 + 100, delay_s=0.003, jitter_s=2e-4)
-    np.testing.assert_array_equal(late.cov, np.zeros((2, 2)))
+    assert_array_equal(late.cov, np.zeros((2, 2)))
     assert (late.offset_s, late.jitter_s) == (0.003, 2e-4)
     assert late.source.endswith("with a delay of 3 ms")
 
 
-def test_stamps_that_stand_still_once_are_refused_and_three_of_each_are_enough() -> None:
+def test_stamps_that_stand_still_once_are_refused_and_three_of_each_are_enough():
     good = np.array([0.0, 1.0, 2.5, 4.5, 7.0])
     once = np.array([0.0, 1.0, 1.0, 4.5, 7.0])
     for t, p in ((once, good), (good, once), (good[::-1], good), (good[:2], good), (good, good[:2])):

@@ -6,8 +6,8 @@ from pathlib import Path
 import cv2
 import matplotlib
 import numpy as np
-import pandas as pd
 import pytest
+from numpy.testing import assert_allclose
 from PIL import Image, ImageDraw, ImageFont
 from scipy.stats import chi2
 
@@ -21,9 +21,7 @@ STEP_S = 0.01
 
 
 @pytest.fixture(scope="module", params=["font", "segments"])
-def series(
-    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
-) -> tuple[list[Path], pd.DataFrame]:
+def series(request, tmp_path_factory):
     """Three minutes of the twin's photographs, and the truth about them."""
     folder = tmp_path_factory.mktemp(request.param)
     twin = TwinConfig(size="field")
@@ -33,7 +31,7 @@ def series(
     return sorted((folder / "photos").iterdir()), truth
 
 
-def test_the_twins_photographs_are_read_or_left_out(series: tuple[list[Path], pd.DataFrame]) -> None:
+def test_the_twins_photographs_are_read_or_left_out(series):
     files, truth = series
     table, facts = read_display(files)
     both = table.merge(truth, on="file")
@@ -61,13 +59,11 @@ def test_the_twins_photographs_are_read_or_left_out(series: tuple[list[Path], pd
     assert found.kind == "white stamps"
 
 
-def dejavu(name: str) -> str:
+def dejavu(name):
     return str(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / f"{name}.ttf")
 
 
-def photographs(
-    folder: Path, texts: list[str], font: str, *, bright: bool = False, seed: int = 1
-) -> list[Path]:
+def photographs(folder, texts, font, *, bright=False, seed=1):
     """Photographs of a monitor in a room: a window with digits somewhere in a larger picture, seen askew."""
     rng = np.random.default_rng(seed)
     face = ImageFont.truetype(font, 60)
@@ -90,24 +86,24 @@ def photographs(
     return out
 
 
-def clock_texts(n: int, seed: int = 3, start: float = 50_000.0) -> tuple[list[str], np.ndarray]:
+def clock_texts(n, seed=3, start=50_000.0):
     rng = np.random.default_rng(seed)
     t = np.floor((start + np.arange(n) * 1.003 + 0.02 * rng.standard_normal(n)) * 100 + 0.5) / 100
     return [f"{int(s // 3600):02d}:{int(s // 60 % 60):02d}:{s % 60:05.2f}" for s in t], t
 
 
 @pytest.mark.parametrize(("font", "bright"), [("DejaVuSans-Bold", True), ("DejaVuSerif", False)])
-def test_fonts_that_are_not_built_in_are_read(tmp_path: Path, font: str, bright: bool) -> None:
+def test_fonts_that_are_not_built_in_are_read(tmp_path, font, bright):
     texts, t = clock_texts(20)
     table, facts = read_display(photographs(tmp_path / "a", texts, dejavu(font), bright=bright))
     read = table["reason"] == ""
     assert read.mean() > 0.9
     assert table["text"][read].tolist() == [text for text, good in zip(texts, read, strict=True) if good]
-    np.testing.assert_allclose(table["t_display_s"][read], t[read], atol=1e-6)
+    assert_allclose(table["t_display_s"][read], t[read], atol=1e-6)
     assert facts["ink"] == ("bright" if bright else "dark")
 
 
-def test_labels_teach_a_look_of_its_own(tmp_path: Path) -> None:
+def test_labels_teach_a_look_of_its_own(tmp_path):
     """Ten labelled photographs instead of the built-in digits."""
     texts, _ = clock_texts(20)
     files = photographs(tmp_path / "a", texts, dejavu("DejaVuSerif-Bold"))
@@ -121,7 +117,7 @@ def test_labels_teach_a_look_of_its_own(tmp_path: Path) -> None:
         read_display(files, labels={"absent.png": texts[0]})
 
 
-def test_damaged_and_foreign_files_are_left_out_with_their_reason(tmp_path: Path) -> None:
+def test_damaged_and_foreign_files_are_left_out_with_their_reason(tmp_path):
     texts, _ = clock_texts(20)
     files = photographs(tmp_path / "a", texts, dejavu("DejaVuSansMono"))
     files[3].write_bytes(b"")
@@ -140,7 +136,7 @@ def test_damaged_and_foreign_files_are_left_out_with_their_reason(tmp_path: Path
     assert table["text"][read].tolist() == [text for text, good in zip(texts, read, strict=True) if good]
 
 
-def test_a_folder_without_a_display_is_refused(tmp_path: Path) -> None:
+def test_a_folder_without_a_display_is_refused(tmp_path):
     rng = np.random.default_rng(1)
     files = []
     for k in range(6):
@@ -158,14 +154,14 @@ def test_a_folder_without_a_display_is_refused(tmp_path: Path) -> None:
         read_display(files[:1])
 
 
-def test_texts_that_are_no_time() -> None:
+def test_texts_that_are_no_time():
     assert seconds_of("23:59:59.99", "HH:MM:SS.ff") == pytest.approx(86_399.99)
     assert seconds_of("24:00:00.00", "HH:MM:SS.ff") is None
     assert seconds_of("00:00:61.00", "HH:MM:SS.ff") is None
     assert seconds_of("345678.25", "SSSSSS.ff") == pytest.approx(345_678.25)
 
 
-def test_the_sequence_only_rejects() -> None:
+def test_the_sequence_only_rejects():
     rng = np.random.default_rng(2)
     t = 86_395.0 + np.arange(60) + 0.016 * rng.standard_normal(60)
     t[30:] += 5.0  # five photographs are missing: no reason to reject
@@ -181,13 +177,13 @@ def test_the_sequence_only_rejects() -> None:
     assert np.flatnonzero(wrong).tolist() == [12, 40]
     assert np.flatnonzero(doubtful).tolist() == [50]
     good = np.isfinite(found) & ~wrong & ~doubtful
-    np.testing.assert_allclose(found[good], t[good])
+    assert_allclose(found[good], t[good])
 
 
 # ---------------------------------------------------------------- stability
 
 
-def readings(rng: np.random.Generator, kind: str, n: int = 1000) -> np.ndarray:
+def readings(rng, kind, n=1000):
     """Readings of a display of 100 Hz, a tenth of them lost."""
     stamp = {"white": 0.023 / np.sqrt(2), "wander": 0.0, "both": 0.015}[kind]
     wander = {"white": 0.0, "wander": 0.023, "both": 0.012}[kind]
@@ -200,7 +196,7 @@ def readings(rng: np.random.Generator, kind: str, n: int = 1000) -> np.ndarray:
 @pytest.mark.parametrize(
     ("kind", "word"), [("white", "white stamps"), ("wander", "wandering intervals"), ("both", "both")]
 )
-def test_white_stamps_and_wandering_intervals_are_told_apart(kind: str, word: str) -> None:
+def test_white_stamps_and_wandering_intervals_are_told_apart(kind, word):
     rng = np.random.default_rng(6)
     true = float(np.hypot(0.012, 0.015 * np.sqrt(2))) if kind == "both" else 0.023
     found = [clock_stability(readings(rng, kind)) for _ in range(60)]
@@ -219,7 +215,7 @@ def test_white_stamps_and_wandering_intervals_are_told_apart(kind: str, word: st
         assert np.median([f.image_error_s for f in found]) == pytest.approx(0.023 / np.sqrt(2), rel=0.05)
 
 
-def test_steps_of_the_display_are_taken_off() -> None:
+def test_steps_of_the_display_are_taken_off():
     """A display of 33 Hz shows 12 ms of its own; the camera's 23 ms are found all the same."""
     rng = np.random.default_rng(8)
     t = np.arange(20_000) * 0.999 + 0.023 / np.sqrt(2) * rng.standard_normal(20_000)
@@ -228,7 +224,7 @@ def test_steps_of_the_display_are_taken_off() -> None:
     assert found.std_s == pytest.approx(0.023, abs=4 * found.sigma_std_s)
 
 
-def test_lost_photographs_are_multiples_and_no_noise() -> None:
+def test_lost_photographs_are_multiples_and_no_noise():
     rng = np.random.default_rng(7)
     t = np.delete(np.arange(500) * 0.999 + 0.01 * rng.standard_normal(500), [50, 51, 300])
     found = clock_stability(t)
@@ -237,7 +233,7 @@ def test_lost_photographs_are_multiples_and_no_noise() -> None:
     assert found.mean_s == pytest.approx(0.999, abs=1e-4)
 
 
-def test_a_drift_of_the_interval_is_found() -> None:
+def test_a_drift_of_the_interval_is_found():
     rng = np.random.default_rng(9)
     k = np.arange(5000)
     # 1000 ppm an hour: the interval grows by 0.001 * 0.999 in 3600 s
@@ -248,7 +244,7 @@ def test_a_drift_of_the_interval_is_found() -> None:
     assert any("ppm an hour" in note for note in found.notes)
 
 
-def test_too_few_neighbours_are_refused() -> None:
+def test_too_few_neighbours_are_refused():
     t = np.arange(50.0)
     t[::2] = np.nan
     with pytest.raises(ClockError, match="0 of them beside one another"):

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from thalweg.clocks import CameraPoses, Track, antenna_track, image_fixes
+from thalweg.clocks import CameraPoses, Track, image_fixes
 from thalweg.clocks.synchronise import in_motion
 from thalweg.core import InputError, rotation_opk
 
@@ -63,10 +63,3 @@ def test_gaps_and_rest_have_no_residuals(run):
     assert np.isnan(along[0])
     assert np.isnan(across[0])
     assert up[0] == 1.0
-
-
-def test_the_track_is_written_as_it_is(run):
-    _, _, track, _, _ = run
-    table = antenna_track(track)
-    assert table["north_m"].to_numpy() == pytest.approx(track.position_m[:, 1])
-    assert len(table) == len(track.t_gps_s)

@@ -13,7 +13,7 @@ from thalweg_lab.random_numbers import gauss_markov
 SEEDS = 24
 
 
-def velocity(rng: np.random.Generator, t: np.ndarray, scale: float = 3.0) -> np.ndarray:
+def velocity(rng, t, scale=3.0):
     """A boat that zigzags, rolls and heaves; periods from 0.8 s."""
     v = np.column_stack([0.4 + 0 * t, np.cos(2 * np.pi / 50 * t + 1), 0 * t])
     for axis, amplitude, period in ((0, 0.006, 1.7), (1, 0.012, 2.1), (2, 0.020, 2.6)):
@@ -23,14 +23,14 @@ def velocity(rng: np.random.Generator, t: np.ndarray, scale: float = 3.0) -> np.
     return v
 
 
-def noise(rng: np.random.Generator, kind: str, n: int) -> np.ndarray:
+def noise(rng, kind, n):
     blue = np.diff(rng.normal(0, 0.01, (n + 1, 3)), axis=0) * 10
     red = np.column_stack([gauss_markov(rng, n, 0.1, 0.04, 3.0) for _ in range(3)])
     return {"blue": blue, "red": red, "both": blue + red}[kind]
 
 
 @pytest.mark.parametrize(("kind", "offset_s"), [("blue", 0.04), ("red", 0.04), ("both", 0.04), ("both", 0.0)])
-def test_offsets_come_back_with_consistent_sigmas(kind: str, offset_s: float) -> None:
+def test_offsets_come_back_with_consistent_sigmas(kind, offset_s):
     """Residuals of differenced positions are blue, of slow errors red; a tenth of the epochs is missing."""
     squares, found = [], []
     for seed in range(SEEDS):
@@ -49,7 +49,7 @@ def test_offsets_come_back_with_consistent_sigmas(kind: str, offset_s: float) ->
     assert np.mean(found) == pytest.approx(offset_s, abs=0.0047)
 
 
-def test_white_residuals_are_not_taken_for_granted() -> None:
+def test_white_residuals_are_not_taken_for_granted():
     """With blue residuals the formula for white ones is too large, with red ones of 0.3 s too small."""
     rng = np.random.default_rng(1)
     ta, tb = np.arange(0, 200, 0.02), np.arange(0, 200, 0.1)
@@ -63,7 +63,7 @@ def test_white_residuals_are_not_taken_for_granted() -> None:
         assert factor[0] < lag.sigma_s / white < factor[1]
 
 
-def test_late_stamps_are_positive() -> None:
+def test_late_stamps_are_positive():
     t = np.arange(0, 60, 0.02)
     lag = stream_lag(t, np.sin(2 * t), t[::5] + 0.25, np.sin(2 * t[::5]))
     assert lag.offset_s == pytest.approx(0.25, abs=1e-5)
@@ -78,25 +78,25 @@ def test_late_stamps_are_positive() -> None:
         (np.arange(600) * 0.1, np.full(600, np.nan)),
     ],
 )
-def test_streams_that_say_nothing(t: np.ndarray, v: np.ndarray) -> None:
+def test_streams_that_say_nothing(t, v):
     lag = stream_lag(np.arange(0, 60, 0.02), np.ones(3000), t, v)
     assert np.isnan(lag.offset_s)
     assert not lag.significant
 
 
-def test_an_offset_beyond_what_was_searched_is_none() -> None:
+def test_an_offset_beyond_what_was_searched_is_none():
     t = np.arange(0, 100, 0.02)
     v = np.cumsum(np.random.default_rng(2).normal(size=len(t))) * 0.1
     lag = stream_lag(t, v, t[::5] + 3.0, v[::5], max_lag_s=0.5)
     assert np.isnan(lag.offset_s) or lag.sigma_s > 0.05
 
 
-def test_components_must_agree() -> None:
+def test_components_must_agree():
     with pytest.raises(GeometryError, match="same number of components"):
         stream_lag(np.arange(9.0), np.zeros((9, 3)), np.arange(9.0), np.zeros((9, 2)))
 
 
-def test_what_is_significant() -> None:
+def test_what_is_significant():
     assert Lag(offset_s=-0.02, sigma_s=0.004, n=100).significant
     assert not Lag(offset_s=0.02, sigma_s=0.008, n=100).significant
     # precise, but too small to matter
@@ -107,10 +107,10 @@ FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
 LEVER = np.array([0.3, -0.2, -0.8])
 
 
-def survey(offset_s: float, seed: int = 0) -> tuple[pd.DataFrame, pd.DataFrame]:
+def survey(offset_s, seed=0):
     """INS at 50 Hz and antenna positions at 10 Hz whose stamps are late; the antenna swings with the roll."""
 
-    def pose(s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def pose(s):
         position = np.column_stack([0.4 * s, 4 * np.sin(0.2 * s), 0.03 * np.sin(2.4 * s)])
         speed = np.column_stack([0.4 + 0 * s, 0.8 * np.cos(0.2 * s), 0.072 * np.cos(2.4 * s)])
         return position, speed, rotation_enu_body(0.05 * np.sin(3 * s), 0.03 * np.sin(3.6 * s), 0.1 * s)
@@ -144,7 +144,7 @@ def survey(offset_s: float, seed: int = 0) -> tuple[pd.DataFrame, pd.DataFrame]:
 
 
 @pytest.mark.parametrize("offset_s", [-0.1, 0.0, 0.04])
-def test_late_positions_are_found_from_the_ins(offset_s: float) -> None:
+def test_late_positions_are_found_from_the_ins(offset_s):
     states, positions = survey(offset_s)
     lag = ins_position_lag(states, positions, FRAME, lever_ics_antenna_m=LEVER)
     assert lag.sigma_s < 0.005
@@ -152,7 +152,7 @@ def test_late_positions_are_found_from_the_ins(offset_s: float) -> None:
     assert lag.significant == (offset_s != 0)
 
 
-def test_the_lever_arm_matters() -> None:
+def test_the_lever_arm_matters():
     """Without it the roll of the antenna is missing from the INS's velocity: the residuals say so."""
     states, positions = survey(0.0)
     right = ins_position_lag(states, positions, FRAME, lever_ics_antenna_m=LEVER)
@@ -160,7 +160,7 @@ def test_the_lever_arm_matters() -> None:
     assert wrong.sigma_s > 2 * right.sigma_s
 
 
-def test_without_velocities_there_is_no_offset() -> None:
+def test_without_velocities_there_is_no_offset():
     states, positions = survey(0.0)
     states["v_east_mps"] = np.nan
     assert np.isnan(ins_position_lag(states, positions, FRAME, lever_ics_antenna_m=LEVER).offset_s)

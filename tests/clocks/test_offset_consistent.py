@@ -12,7 +12,7 @@ run_of = cache(simulate)
 
 
 @pytest.mark.parametrize("attitude", [False, True], ids=["positions", "positions and attitude"])
-def test_errors_are_as_large_as_the_sigmas_say(attitude: bool) -> None:
+def test_errors_are_as_large_as_the_sigmas_say(attitude):
     """20 runs: offset of the clock, mean of the run, antenna, jitter and time of each image."""
     rows, levers, images = [], [], []
     for seed in range(20):

@@ -2,8 +2,6 @@
 
 import importlib.util
 from pathlib import Path
-from types import ModuleType
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -25,7 +23,7 @@ T0 = 3.0e8
 OFFSET_S = 712.25
 
 
-def stamps_of(t_device_s: np.ndarray) -> pd.DataFrame:
+def stamps_of(t_device_s):
     n = len(t_device_s)
     return frame_of(
         IMAGE_STAMPS,
@@ -43,13 +41,13 @@ def stamps_of(t_device_s: np.ndarray) -> pd.DataFrame:
     )
 
 
-def pulses() -> np.ndarray:
+def pulses():
     step = np.ones(40)
     step[[11, 26]] = (3.4, 2.7)
     return T0 + np.cumsum(step)
 
 
-def run(rng: np.random.Generator) -> tuple[pd.DataFrame, np.ndarray]:
+def run(rng):
     """40 images, stamps with 20 ms jitter: pulse 5 made none, image 20 is by hand, the last has no stamp."""
     pulse = np.delete(pulses(), 5)
     t = np.insert(pulse - OFFSET_S + 0.02 * rng.standard_normal(39), 20, pulse[19] + 0.5 - OFFSET_S)
@@ -58,7 +56,7 @@ def run(rng: np.random.Generator) -> tuple[pd.DataFrame, np.ndarray]:
     return stamps_of(t), truth
 
 
-def test_an_image_takes_the_time_of_its_pulse() -> None:
+def test_an_image_takes_the_time_of_its_pulse():
     stamps, truth = run(np.random.default_rng(4))
     clock, table, facts = triggered_images(stamps, pulses(), delay_s=0.003, jitter_s=2e-4)
     matched = table["matched"].to_numpy()
@@ -78,7 +76,7 @@ def test_an_image_takes_the_time_of_its_pulse() -> None:
     assert any("R20.jpg, R39.jpg" in note for note in clock.notes)
 
 
-def test_a_trigger_without_stated_jitter_has_none_and_says_so() -> None:
+def test_a_trigger_without_stated_jitter_has_none_and_says_so():
     stamps, _ = run(np.random.default_rng(4))
     clock, table, _ = triggered_images(stamps, pulses())
     assert clock.jitter_s == 0.0
@@ -86,7 +84,7 @@ def test_a_trigger_without_stated_jitter_has_none_and_says_so() -> None:
     assert any("not stated" in note for note in clock.notes)
 
 
-def test_images_that_share_a_stamp_find_no_pulse() -> None:
+def test_images_that_share_a_stamp_find_no_pulse():
     stamps, _ = run(np.random.default_rng(4))
     stamps.loc[8, "t_device_s"] = stamps.loc[7, "t_device_s"]
     table = triggered_images(stamps, pulses())[1]
@@ -94,7 +92,7 @@ def test_images_that_share_a_stamp_find_no_pulse() -> None:
     assert (table["reason"][[7, 8]] == "another image has the same stamp").all()
 
 
-def test_the_report_of_times_says_how_many_images_have_them_and_how_good_they_are(tmp_path: Path) -> None:
+def test_the_report_of_times_says_how_many_images_have_them_and_how_good_they_are(tmp_path):
     stamps, _ = run(np.random.default_rng(4))
     _, table, _ = triggered_images(stamps, pulses(), jitter_s=2e-4)
     write_table(tmp_path / "times.parquet", table, RUN_IMAGE_TIMES)
@@ -115,19 +113,17 @@ def test_the_report_of_times_says_how_many_images_have_them_and_how_good_they_ar
 
 
 @pytest.fixture(scope="module")
-def script() -> ModuleType:
+def script():
     spec = importlib.util.spec_from_file_location(
         "clock_from_ties_script", ROOT / "workflow/scripts/clock_from_ties.py"
     )
-    assert spec is not None
-    assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
 
 
 @pytest.fixture
-def job(tmp_path: Path) -> dict[str, Any]:
+def job(tmp_path):
     """Keywords of the script, for a run with ties."""
     write_table(tmp_path / "stamps.parquet", run(np.random.default_rng(4))[0], IMAGE_STAMPS)
     tie = T0 - OFFSET_S
@@ -147,7 +143,7 @@ def job(tmp_path: Path) -> dict[str, Any]:
     }
 
 
-def test_ties_do_not_tell_the_jitter(script: ModuleType, job: dict[str, Any]) -> None:
+def test_ties_do_not_tell_the_jitter(script, job):
     with pytest.raises(ClockError, match=r"jitter of the camera's stamps is not known.*") as caught:
         script.main(**job)
     assert "calibration.clock.jitter_s" in str(caught.value)
@@ -155,9 +151,7 @@ def test_ties_do_not_tell_the_jitter(script: ModuleType, job: dict[str, Any]) ->
 
 
 @pytest.mark.parametrize(("stated", "jitter_s", "words"), [(None, 0.0163, "display"), (0.03, 0.03, "stated")])
-def test_ties_take_the_jitter_from_elsewhere(
-    script: ModuleType, job: dict[str, Any], stated: float | None, jitter_s: float, words: str
-) -> None:
+def test_ties_take_the_jitter_from_elsewhere(script, job, stated, jitter_s, words):
     job["stability"] = [job["clock"].parent / "stability.json"]
     job["options"]["jitter_s"] = stated
     script.main(**job)
@@ -170,7 +164,7 @@ def test_ties_take_the_jitter_from_elsewhere(
     assert table["t_gps_s"].isna().sum() == 1
 
 
-def test_pulses_make_the_times_of_images(script: ModuleType, job: dict[str, Any]) -> None:
+def test_pulses_make_the_times_of_images(script, job):
     job |= {"pulses": [job["clock"].parent / "pulses.csv"], "ties": []}
     script.main(**job)
     table, meta = read_table(job["images"], RUN_IMAGE_TIMES)[:2]
@@ -180,13 +174,13 @@ def test_pulses_make_the_times_of_images(script: ModuleType, job: dict[str, Any]
     assert ClockModel.read(job["clock"]).source.startswith("hardware trigger")
 
 
-def test_one_table_only(script: ModuleType, job: dict[str, Any]) -> None:
+def test_one_table_only(script, job):
     job["ties"] = job["ties"] * 2
     with pytest.raises(InputError, match="2 tables of ties and 0 of pulses"):
         script.main(**job)
 
 
-def test_tables_of_people_are_read_as_they_write_them(tmp_path: Path) -> None:
+def test_tables_of_people_are_read_as_they_write_them(tmp_path):
     """Blanks around cells and before quotes, names with commas, and what pandas takes for a missing value."""
     path = tmp_path / "ties.csv"
     path.write_text('file , t_s, more\n "R01, left.jpg",  1.5 ,x\nNA, -2,y\n')
@@ -208,7 +202,7 @@ def test_tables_of_people_are_read_as_they_write_them(tmp_path: Path) -> None:
         ("file,t_s\na,1\nb,inf\n", "'inf' in column t_s, row 2"),
     ],
 )
-def test_tables_that_lack_something_are_refused(tmp_path: Path, text: str, found: str) -> None:
+def test_tables_that_lack_something_are_refused(tmp_path, text, found):
     path = tmp_path / "ties.csv"
     path.write_text(text)
     with pytest.raises(InputError, match=found):

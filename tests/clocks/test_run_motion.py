@@ -9,7 +9,7 @@ from thalweg.clocks.camera_offset import RunMotion, run_motion
 from thalweg.core import rotation_opk
 
 
-def motion(**changed: float) -> RunMotion:
+def motion(**changed):
     values = {
         "speed_mps": 1.0,
         "speed_change_mps": 0.3,
@@ -35,13 +35,13 @@ def motion(**changed: float) -> RunMotion:
         ({"speed_mps": 0.06, "turned_deg": 1.0}, ("turns",), "the course is straight"),
     ],
 )
-def test_what_is_missing(changed: dict[str, float], missing: tuple[str, ...], words: str) -> None:
+def test_what_is_missing(changed, missing, words):
     found = motion(**changed)
     assert found.missing == missing
     assert re.match(words, found.words)
 
 
-def test_motion_of_two_images_by_hand() -> None:
+def test_motion_of_two_images_by_hand():
     """North with 1 m/s and with 3 m/s, the camera turned by a quarter about the vertical between them.
 
     In the camera the velocities are (0, 1, 0) and (3, 0, 0): about their mean (1.5, 0.5, 0) twice 2.5.
@@ -65,7 +65,7 @@ def test_motion_of_two_images_by_hand() -> None:
     # speeds of 0.5 and 2.5 m/s have a variance of 1, of which noise / 3 is that of one axis
     [(0.0, 1.5, 1.0), (1.5, np.sqrt(0.75), np.sqrt(0.5)), (1.56, 0.0, np.sqrt(0.48)), (3.3, 0.0, 0.0)],
 )
-def test_noise_is_no_motion(noise: float, change_mps: float, spread_mps: float) -> None:
+def test_noise_is_no_motion(noise, change_mps, spread_mps):
     """Velocities of -0.5 and 2.5 m/s: squares of 2.25 about their mean, of which noise explains its part.
 
     What is left counts above four sigmas of that, 4 x noise x sqrt(2 / (3 x 48)) = 0.471 noise: up to a
@@ -79,7 +79,7 @@ def test_noise_is_no_motion(noise: float, change_mps: float, spread_mps: float) 
 
 
 @pytest.mark.parametrize(("noise", "speed_mps"), [(0.0, 0.1), (0.0074, 0.1), (0.0084, 0.04), (0.02, 0.0)])
-def test_a_speed_that_is_noise_is_no_speed(noise: float, speed_mps: float) -> None:
+def test_a_speed_that_is_noise_is_no_speed(noise, speed_mps):
     """0.1 m/s: a mean square of 0.01, of which noise is taken off; below 0.05 m/s the boat stands."""
     v = np.tile([0.0, 0.1, 0.0], (20, 1))
     found = run_motion(v, np.tile(np.eye(3), (20, 1, 1)), np.full(20, noise))

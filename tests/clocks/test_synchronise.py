@@ -8,7 +8,7 @@ import pandas as pd
 from thalweg.clocks.synchronise import _numbers
 
 
-def test_every_number_of_a_run_stands_under_its_name() -> None:
+def test_every_number_of_a_run_stands_under_its_name():
     sigma = np.array([0.001, 2e-6, 0.003, 0.004, 0.005])
     clock = SimpleNamespace(
         offset_s=1.25, sigma_offset_s=0.001, drift=3e-6, sigma_drift=2e-6, jitter_s=0.02, sigma_jitter_s=0.007

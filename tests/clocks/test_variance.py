@@ -7,7 +7,7 @@ from thalweg.clocks.camera_offset import Component, estimate_component
 
 
 @pytest.mark.parametrize("scale", [1.0, 1e-3])
-def test_effects_of_single_observations_have_the_variance_that_noise_does_not_explain(scale: float) -> None:
+def test_effects_of_single_observations_have_the_variance_that_noise_does_not_explain(scale):
     """``y = b + u + e``: restricted likelihood gives ``s + v = sum (y - mean)^2 / (n - 1)``, good to its
 
     share ``sqrt(2 / (n - 1))``. Here 8 values of squares 50 about their mean, v = 2: 50 / 7 - 2.
@@ -20,7 +20,7 @@ def test_effects_of_single_observations_have_the_variance_that_noise_does_not_ex
     assert found.sigma == pytest.approx(np.sqrt(found.variance))
 
 
-def test_effects_shared_by_two_observations() -> None:
+def test_effects_shared_by_two_observations():
     """Pairs share an effect: their means vary by ``s + v / 2``, their differences tell nothing of s."""
     pair = np.repeat([4.0, -4.0, 2.0, -2.0, 0.0], 2) + np.tile([0.3, -0.3], 5)
     Z = np.repeat(np.eye(5), 2, axis=0)
@@ -29,7 +29,7 @@ def test_effects_shared_by_two_observations() -> None:
     assert found.sigma_variance == pytest.approx(np.sqrt(2 / 4) * 10, rel=1e-4)
 
 
-def test_noise_that_explains_all_leaves_no_effect() -> None:
+def test_noise_that_explains_all_leaves_no_effect():
     """``sigma`` of an estimate at zero is the root of that of the variance: an upper end."""
     y = np.array([0.5, -0.5, 0.5, -0.5, 0.0])
     found = estimate_component(y, np.ones((5, 1)), np.eye(5), np.eye(5))
@@ -38,7 +38,7 @@ def test_noise_that_explains_all_leaves_no_effect() -> None:
     assert found.sigma_of_sigma == pytest.approx((2 / 4) ** 0.25)
 
 
-def test_the_sigma_of_a_sigma() -> None:
+def test_the_sigma_of_a_sigma():
     """Far from zero ``d sigma = d variance / (2 sigma)``; near it, the way to the upper end."""
     assert Component(variance=4.0, sigma_variance=1.0).sigma_of_sigma == pytest.approx(0.25)
     assert Component(variance=1.0, sigma_variance=3.0).sigma_of_sigma == pytest.approx(1.0)

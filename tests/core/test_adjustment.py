@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy import sparse
 from scipy.stats import chi2
 
 from thalweg.core import (
-    Adjusted,
     GeometryError,
     Linear,
     Observations,
@@ -24,18 +24,18 @@ from thalweg.core.adjustment import HUBER_LIMIT, _same, condition, damped_step
 LINE = ("height", "slope")
 
 
-def line(x: np.ndarray, y: np.ndarray, sigma: np.ndarray, *, name: str = "points", thin: bool = False):
+def line(x, y, sigma, *, name="points", thin=False):
     J = np.stack([np.ones_like(x), x], axis=1)
     wide = sparse.csr_array(J) if thin else J
 
-    def model(state: np.ndarray) -> Linear:
+    def model(state):
         return Linear(residual=J @ state - y, jacobian=wide, cov=sigma**2)
 
     return Observations(name, model)
 
 
 @pytest.fixture
-def points(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def points(rng):
     x, sigma = np.linspace(0, 10, 40), rng.uniform(0.1, 0.5, 40)
     return x, 2.0 - 0.7 * x + sigma * rng.standard_normal(40), sigma
 
@@ -44,25 +44,25 @@ def points(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray
 
 
 @pytest.mark.parametrize("thin", [False, True], ids=["dense", "sparse"])
-def test_a_line_is_the_weighted_closed_form(points: tuple[np.ndarray, ...], thin: bool) -> None:
+def test_a_line_is_the_weighted_closed_form(points, thin):
     x, y, sigma = points
     found = adjust([line(x, y, sigma, thin=thin)], np.zeros(2), LINE)
     A = np.stack([np.ones_like(x), x], axis=1) / sigma[:, None]
     Q = np.linalg.inv(A.T @ A)
     # float64 of a well-conditioned 2x2 system
-    np.testing.assert_allclose(found.x, Q @ A.T @ (y / sigma), rtol=1e-10)
-    np.testing.assert_allclose(found.cov, Q, rtol=1e-10)
+    assert_allclose(found.x, Q @ A.T @ (y / sigma), rtol=1e-10)
+    assert_allclose(found.cov, Q, rtol=1e-10)
     v = A @ found.x - y / sigma
     assert found.sigma0_squared == pytest.approx(v @ v / 38, rel=1e-9)
     assert found.redundancy == 38
     assert found.group_sigma0["points"] == pytest.approx(np.sqrt(v @ v / 38), rel=1e-9)
     assert found.sigma("slope") == pytest.approx(np.sqrt(Q[1, 1]))
     assert found.correlation()[0, 1] == pytest.approx(Q[0, 1] / np.sqrt(Q[0, 0] * Q[1, 1]))
-    np.testing.assert_allclose(found.block(["slope", "height"]), Q[::-1, ::-1], rtol=1e-10)
+    assert_allclose(found.block(["slope", "height"]), Q[::-1, ::-1], rtol=1e-10)
 
 
 @pytest.mark.parametrize("thin", [False, True], ids=["dense", "sparse"])
-def test_blocks_are_generalised_least_squares(rng: np.random.Generator, thin: bool) -> None:
+def test_blocks_are_generalised_least_squares(rng, thin):
     J, y = rng.standard_normal((12, 3)), rng.standard_normal(12)
     root = rng.standard_normal((4, 3, 3)) + 2 * np.eye(3)
     S = root @ np.swapaxes(root, 1, 2)
@@ -73,42 +73,42 @@ def test_blocks_are_generalised_least_squares(rng: np.random.Generator, thin: bo
     group = Observations("blocks", lambda x: Linear(residual=J @ x - y, jacobian=wide, cov=S))
     found = adjust([group], np.zeros(3), ("a", "b", "c"))
     P = np.linalg.inv(whole)
-    np.testing.assert_allclose(found.cov, np.linalg.inv(J.T @ P @ J), rtol=1e-8)
-    np.testing.assert_allclose(found.x, found.cov @ J.T @ P @ y, rtol=1e-8)
+    assert_allclose(found.cov, np.linalg.inv(J.T @ P @ J), rtol=1e-8)
+    assert_allclose(found.x, found.cov @ J.T @ P @ y, rtol=1e-8)
     v = J @ found.x - y
-    np.testing.assert_allclose(
+    assert_allclose(
         np.square(found.standardised["blocks"]),
         [v[3 * b : 3 * b + 3] @ np.linalg.solve(S[b], v[3 * b : 3 * b + 3]) for b in range(4)],
         rtol=1e-8,
     )
 
 
-def test_redundancy_is_shared_among_the_groups(points: tuple[np.ndarray, ...]) -> None:
+def test_redundancy_is_shared_among_the_groups(points):
     x, y, sigma = points
     two = [line(x[:5], y[:5], sigma[:5], name="few"), line(x[5:], y[5:], sigma[5:], name="many")]
     found = adjust(two, np.zeros(2), LINE)
     one = adjust([line(x, y, sigma)], np.zeros(2), LINE)
-    np.testing.assert_allclose(found.x, one.x, rtol=1e-10)
+    assert_allclose(found.x, one.x, rtol=1e-10)
     assert sum(found.group_redundancy.values()) == pytest.approx(38, abs=1e-9)
     squares = sum(found.group_sigma0[n] ** 2 * found.group_redundancy[n] for n in ("few", "many"))
     assert squares == pytest.approx(one.sigma0_squared * 38, rel=1e-9)
 
 
-def test_an_observed_unknown_is_a_weighted_mean() -> None:
+def test_an_observed_unknown_is_a_weighted_mean():
     told = Observations("told", prior(np.array([1.0]), np.array([[0.04]]), [0], 2))
     seen = Observations(
         "seen", lambda x: Linear(residual=x - [2.0, 5.0], jacobian=np.eye(2), cov=np.array([0.01, 1.0]))
     )
     found = adjust([told, seen], np.zeros(2), ("a", "b"))
     # weights 25 and 100
-    np.testing.assert_allclose(found.x, [(25 * 1 + 100 * 2) / 125, 5.0], rtol=1e-12)
-    np.testing.assert_allclose(found.cov, np.diag([1 / 125, 1.0]), atol=1e-15)
+    assert_allclose(found.x, [(25 * 1 + 100 * 2) / 125, 5.0], rtol=1e-12)
+    assert_allclose(found.cov, np.diag([1 / 125, 1.0]), atol=1e-15)
 
 
 # ---------------------------------------------------------------- Gauss-Helmert
 
 
-def on_line(state: np.ndarray, observed: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def on_line(state, observed):
     """Condition a + b x - y = 0 with x and y observed."""
     x, y = observed.T
     g = state[0] + state[1] * x - y
@@ -117,7 +117,7 @@ def on_line(state: np.ndarray, observed: np.ndarray) -> tuple[np.ndarray, np.nda
     return g[:, None], A, B
 
 
-def test_errors_in_both_coordinates_are_orthogonal_regression(rng: np.random.Generator) -> None:
+def test_errors_in_both_coordinates_are_orthogonal_regression(rng):
     true = np.linspace(0, 4, 60)
     xy = np.stack([true, 1.0 + 1.5 * true], axis=1) + 0.1 * rng.standard_normal((60, 2))
     model = condition(on_line, xy, 0.01 * np.eye(2), iterations=4)
@@ -130,41 +130,10 @@ def test_errors_in_both_coordinates_are_orthogonal_regression(rng: np.random.Gen
     assert found.x[0] == pytest.approx(xy[:, 1].mean() - slope * xy[:, 0].mean(), abs=5e-6)
 
 
-def test_ordinary_regression_would_be_biased(rng: np.random.Generator) -> None:
-    true = np.linspace(0, 1, 4000)
-    xy = np.stack([true, 1.5 * true], axis=1) + 0.2 * rng.standard_normal((4000, 2))
-    model = condition(on_line, xy, 0.04 * np.eye(2), iterations=4)
-    found = adjust([Observations("points", model)], np.array([0.0, 1.0]), LINE)
-    plain = np.polyfit(xy[:, 0], xy[:, 1], 1)[0]
-    # noise in x of variance 0.04 beside a spread of 1/12 shrinks the slope by a third
-    assert plain == pytest.approx(1.5 / (1 + 0.04 * 12), abs=0.05)
-    assert abs(found.x[1] - 1.5) < 4 * found.sigma("slope")
-
-
-def test_a_circle_from_points_with_errors(rng: np.random.Generator) -> None:
-    turn = rng.uniform(0, 2 * np.pi, 80)
-    xy = np.array([3.0, -2.0]) + 5.0 * np.stack([np.cos(turn), np.sin(turn)], axis=1)
-    xy += 0.02 * rng.standard_normal((80, 2))
-
-    def circle(s: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        away = seen - s[:2]
-        r = np.linalg.norm(away, axis=1)
-        A = np.concatenate([-away / r[:, None], -np.ones((len(r), 1))], axis=1)
-        return (r - s[2])[:, None], A[:, None, :], (away / r[:, None])[:, None, :]
-
-    model = condition(circle, xy, 4e-4 * np.eye(2))
-    found = adjust([Observations("points", model)], np.array([0.0, 0.0, 1.0]), ("x", "y", "r"))
-    error = found.x - [3.0, -2.0, 5.0]
-    # three degrees of freedom; 16.3 is the quantile of 99.9 %
-    assert error @ np.linalg.solve(found.cov, error) < 16.3
-    test = found.global_test(0.001)
-    assert test.low < test.sigma0 < test.high
-
-
 # ---------------------------------------------------------------- covariance over seeds
 
 
-def test_covariance_and_band_are_those_of_many_seeds() -> None:
+def test_covariance_and_band_are_those_of_many_seeds():
     squares, sigma0 = [], []
     truth = exp_rotation([0.3, -0.2, 0.5])
     for seed in range(200):
@@ -172,7 +141,7 @@ def test_covariance_and_band_are_those_of_many_seeds() -> None:
         source = rng.standard_normal((12, 3))
         target = source @ truth.T + [1.0, 2.0, 3.0] + 0.01 * rng.standard_normal((12, 3))
 
-        def model(T: Rigid, a: np.ndarray = source, b: np.ndarray = target) -> Linear:
+        def model(T, a=source, b=target):
             J = T.by_error(a).reshape(-1, 6)
             return Linear(residual=(T.apply(a) - b).ravel(), jacobian=J, cov=np.full(36, 1e-4))
 
@@ -192,7 +161,7 @@ def test_covariance_and_band_are_those_of_many_seeds() -> None:
 
 
 @pytest.mark.parametrize("share", [0.05, 0.25])
-def test_blunders_are_rejected_and_nothing_else(rng: np.random.Generator, share: float) -> None:
+def test_blunders_are_rejected_and_nothing_else(rng, share):
     x = np.linspace(0, 10, 200)
     y = 2.0 - 0.7 * x + 0.1 * rng.standard_normal(200)
     wrong = rng.permutation(200)[: int(200 * share)]
@@ -201,14 +170,14 @@ def test_blunders_are_rejected_and_nothing_else(rng: np.random.Generator, share:
     found = adjust([line(x, y, sigma)], np.zeros(2), LINE, loss="huber", reject_sigmas=4.5)
     clean = np.ones(200, dtype=bool)
     clean[wrong] = False
-    np.testing.assert_array_equal(found.used["points"], clean)
+    assert_array_equal(found.used["points"], clean)
     alone = adjust([line(x[clean], y[clean], sigma[clean])], np.zeros(2), LINE)
-    np.testing.assert_allclose(found.x, alone.x, atol=1e-8)
-    np.testing.assert_allclose(found.cov, alone.cov, rtol=1e-8)
+    assert_allclose(found.x, alone.x, atol=1e-8)
+    assert_allclose(found.cov, alone.cov, rtol=1e-8)
     assert found.redundancy == clean.sum() - 2
 
 
-def test_a_loss_alone_rejects_too(rng: np.random.Generator) -> None:
+def test_a_loss_alone_rejects_too(rng):
     x = np.linspace(0, 10, 50)
     y = 1.0 + x + 0.1 * rng.standard_normal(50)
     y[7] += 100.0
@@ -216,20 +185,10 @@ def test_a_loss_alone_rejects_too(rng: np.random.Generator) -> None:
     assert np.flatnonzero(~found.used["points"]).tolist() == [7]
 
 
-def test_sigmas_that_were_too_small_reject_no_good_points(rng: np.random.Generator) -> None:
-    x = np.linspace(0, 10, 200)
-    y = 1.0 + x + 0.5 * rng.standard_normal(200)
-    y[3] += 20.0
-    found = adjust([line(x, y, np.full(200, 0.1))], np.zeros(2), LINE, loss="huber", reject_sigmas=4.5)
-    assert np.flatnonzero(~found.used["points"]).tolist() == [3]
-    # five times the stated sigma
-    assert found.group_sigma0["points"] == pytest.approx(5.0, rel=0.15)
-
-
 # ---------------------------------------------------------------- what is not determined
 
 
-def levels(pairs: list[tuple[int, int]], n: int, rng: np.random.Generator) -> Observations[np.ndarray]:
+def levels(pairs, n, rng):
     """Height differences between benchmarks."""
     J = np.zeros((len(pairs), n))
     for i, (a, b) in enumerate(pairs):
@@ -243,7 +202,7 @@ def levels(pairs: list[tuple[int, int]], n: int, rng: np.random.Generator) -> Ob
 RING = [(0, 1), (1, 2), (2, 3), (3, 0), (0, 2)]
 
 
-def test_a_free_network_is_refused_with_its_unknowns(rng: np.random.Generator) -> None:
+def test_a_free_network_is_refused_with_its_unknowns(rng):
     names = ("A", "B", "C", "D", "E")
     pinned = Observations("pin", prior(np.array([9.0]), np.eye(1), [4], 5))
     with pytest.raises(UnobservableError) as caught:
@@ -254,45 +213,28 @@ def test_a_free_network_is_refused_with_its_unknowns(rng: np.random.Generator) -
     assert "A" in str(caught.value)
 
 
-def test_an_unknown_that_nothing_sees_is_named(rng: np.random.Generator) -> None:
+def test_an_unknown_that_nothing_sees_is_named(rng):
     with pytest.raises(UnobservableError, match="do not determine E"):
         adjust([levels(RING, 5, rng)], np.zeros(5), ("A", "B", "C", "D", "E"), inner_constraints=None)
 
 
-def test_inner_constraints_give_the_pseudo_inverse(rng: np.random.Generator) -> None:
+def test_inner_constraints_give_the_pseudo_inverse(rng):
     group = levels(RING, 4, rng)
     G = np.ones((1, 4))
     start = np.array([5.0, -3.0, 1.0, 7.0])
     found = adjust([group], start, "ABCD", inner_constraints=lambda x: G)
     J = group.model(start).jacobian
     # the Moore-Penrose inverse is the datum of least trace
-    np.testing.assert_allclose(found.cov, np.linalg.pinv(J.T @ J / 1e-4), atol=1e-12)
+    assert_allclose(found.cov, np.linalg.pinv(J.T @ J / 1e-4), atol=1e-12)
     assert found.x.sum() == pytest.approx(start.sum(), abs=1e-9)
     assert found.redundancy == len(RING) - 4 + 1
-    np.testing.assert_allclose(np.diff(found.x), 1.0, atol=0.05)
-
-
-def test_constraints_on_part_of_the_unknowns_fix_the_datum_there(rng: np.random.Generator) -> None:
-    G = np.array([[1.0, 1.0, 0.0, 0.0]])
-    found = adjust([levels(RING, 4, rng)], np.zeros(4), "ABCD", inner_constraints=lambda x: G)
-    # A and B err against each other only
-    assert found.cov[0, 0] == pytest.approx(found.cov[1, 1])
-    assert found.cov[0, 1] == pytest.approx(-found.cov[0, 0])
-    assert G @ found.cov @ G.T == pytest.approx(0.0, abs=1e-15)
-
-
-def test_nearly_collinear_unknowns_are_still_solved() -> None:
-    """Correlations of 0.9999 are bad geometry, not an undetermined one."""
-    x = np.linspace(1000.0, 1010.0, 30)
-    found = adjust([line(x, 3.0 + 0.5 * x, np.full(30, 0.1))], np.zeros(2), LINE)
-    assert abs(found.correlation()[0, 1]) > 0.9999
-    np.testing.assert_allclose(found.x, [3.0, 0.5], rtol=1e-5)
+    assert_allclose(np.diff(found.x), 1.0, atol=0.05)
 
 
 # ---------------------------------------------------------------- bad input
 
 
-def flat(x: np.ndarray) -> Linear:
+def flat(x):
     return Linear(residual=x, jacobian=np.eye(2), cov=np.ones(2))
 
 
@@ -324,31 +266,29 @@ def flat(x: np.ndarray) -> Linear:
     ],
     ids=["nan", "one nan", "no variance", "no covariance", "no convergence"],
 )
-def test_bad_groups_are_told_by_name(group, message: str) -> None:
+def test_bad_groups_are_told_by_name(group, message):
     with pytest.raises(GeometryError, match=message):
         adjust([Observations("bad", group)], np.array([5.0, 6.0]), ("a", "b"), max_iterations=3)
 
 
-def test_two_groups_of_one_name_are_refused() -> None:
+def test_two_groups_of_one_name_are_refused():
     with pytest.raises(GeometryError, match="expected different names"):
         adjust([Observations("a", flat), Observations("a", flat)], np.zeros(2), ("p", "q"))
 
 
-def test_the_cure_of_the_caller_is_told() -> None:
+def test_the_cure_of_the_caller_is_told():
     blind = Observations("a", lambda x: Linear(residual=x[:1], jacobian=np.eye(2)[:1], cov=np.ones(1)))
     with pytest.raises(UnobservableError, match="Turn the boat"):
         adjust([blind], np.zeros(2), ("p", "q"), cure="Turn the boat")
 
 
-def test_a_step_too_far_is_damped() -> None:
+def test_a_step_too_far_is_damped():
     """Gauss-Newton alone diverges on atan beyond 1.39."""
 
-    def model(x: np.ndarray) -> Linear:
+    def model(x):
         return Linear(residual=np.arctan(x), jacobian=np.diag(1 / (1 + x**2)), cov=np.ones(1))
 
-    found: Adjusted[np.ndarray] = adjust(
-        [Observations("a", model)], np.array([3.0]), ("p",), max_iterations=60
-    )
+    found = adjust([Observations("a", model)], np.array([3.0]), ("p",), max_iterations=60)
     # a ten-thousandth of its sigma, which is 1
     assert abs(found.x[0]) < 1e-3
 
@@ -358,13 +298,13 @@ def test_a_step_too_far_is_damped() -> None:
     # upper 0.001 of chi-square with 1, 2, 3 degrees of freedom (Abramowitz and Stegun 1964, table 26.8)
     [(1, 10.828), (2, 13.816), (3, 16.266)],
 )
-def test_the_limit_of_a_block_is_that_of_its_number_of_coordinates(size: int, limit: float) -> None:
+def test_the_limit_of_a_block_is_that_of_its_number_of_coordinates(size, limit):
     """3.2905 sigmas of a normal error are exceeded by one in a thousand, both signs together."""
     squares = np.r_[np.zeros(8), 0.99 * limit, 1.01 * limit]
     residual = np.zeros((10, size))
     residual[:, -1] = np.sqrt(squares)
 
-    def blocks(_: np.ndarray) -> Linear:
+    def blocks(_):
         return Linear(
             residual=residual.ravel(),
             jacobian=np.zeros((10 * size, 1)),
@@ -376,7 +316,7 @@ def test_the_limit_of_a_block_is_that_of_its_number_of_coordinates(size: int, li
     assert found.used["blocks"].tolist() == [True] * 9 + [False]
 
 
-def test_the_band_of_the_global_test_is_that_of_the_table() -> None:
+def test_the_band_of_the_global_test_is_that_of_the_table():
     """Ten degrees of freedom: 3.247 and 20.483 are exceeded by 97.5 and 2.5 % (table 26.8)."""
     ones = Observations(
         "values",
@@ -388,7 +328,7 @@ def test_the_band_of_the_global_test_is_that_of_the_table() -> None:
     assert (test.low**2, test.high**2) == pytest.approx((0.2156, 2.5188), abs=1e-4)
 
 
-def test_an_adjustment_hands_the_root_of_its_sigma0_squared_to_the_global_test() -> None:
+def test_an_adjustment_hands_the_root_of_its_sigma0_squared_to_the_global_test():
     """Residuals 1, -1, 1, -1 with sigmas of 0.5: squares 4 * 4 over three degrees of freedom."""
     values = np.array([1.0, -1.0, 1.0, -1.0])
     fours = Observations(
@@ -400,7 +340,7 @@ def test_an_adjustment_hands_the_root_of_its_sigma0_squared_to_the_global_test()
     assert found.global_test().sigma0 == pytest.approx(4 / np.sqrt(3))
 
 
-def test_the_global_test_scales_what_is_too_small_and_warns_on_both_sides() -> None:
+def test_the_global_test_scales_what_is_too_small_and_warns_on_both_sides():
     """Ten degrees of freedom: 0.3247 and 2.0483 of the square, by table."""
     too_small, right, too_large = (global_test(sigma0, 10) for sigma0 in (1.5, 1.4, 0.5))
     assert [t.factor for t in (too_small, right, too_large)] == [1.5, 1.0, 1.0]
@@ -414,7 +354,7 @@ def test_the_global_test_scales_what_is_too_small_and_warns_on_both_sides() -> N
     assert (global_test(0.0, 0).factor, global_test(7.0, 0).note("marks")) == (1.0, "")
 
 
-def test_huber_weights_by_hand() -> None:
+def test_huber_weights_by_hand():
     """Residuals 1 and 10, limit L: weights 1 and L / 10, costs 1 and 2 L 10 - L^2."""
     both = Observations(
         "both",
@@ -428,25 +368,26 @@ def test_huber_weights_by_hand() -> None:
     assert found.cost == pytest.approx(1 + 20 * HUBER_LIMIT - HUBER_LIMIT**2)
 
 
-def test_the_scatter_is_that_of_the_blocks_that_are_left() -> None:
-    """Blunders of 100 sigmas hide one of 8: the limit is 5 times 2 / 0.6745 with them, and 5 without.
+@pytest.mark.parametrize(
+    ("size", "n_left"), [([2.0] * 9 + [14.7, 14.9], 10), ([0.5] * 5 + [2.0, 8.0] + [100.0] * 4, 6)]
+)
+def test_the_limit_grows_with_the_scatter_of_the_blocks_that_are_left(size, n_left):
+    """Half of all normal errors are within 0.6745 sigmas: 2.0 means a scatter of 2.965, five times 14.83.
 
-    0.6745 is the median of the length of a normal error; a scatter below 1 counts as 1.
+    Blunders of 100 sigmas hide one of 8: the limit is five times 2.965 with them, and 5 without, as a scatter
+    below 1 counts as 1.
     """
-    size = np.array([0.5] * 5 + [2.0, 8.0] + [100.0] * 4)
 
-    def constant(_: np.ndarray) -> Linear:
-        return Linear(residual=size, jacobian=np.zeros((11, 1)), cov=np.ones(11))
+    def constant(_):
+        return Linear(residual=np.array(size), jacobian=np.zeros((11, 1)), cov=np.ones(11))
 
     known = Observations("known", prior(np.zeros(1), np.eye(1), [0], 1))
     found = adjust([Observations("errors", constant), known], np.zeros(1), ["x"], reject_sigmas=5.0)
-    assert found.used["errors"].tolist() == [True] * 6 + [False] * 5
+    assert found.used["errors"].tolist() == [k < n_left for k in range(11)]
 
 
 @pytest.mark.parametrize(("eigenvalue", "refused"), [(0.7e-10, True), (1.4e-10, False)])
-def test_the_smallest_eigenvalue_decides_whether_unknowns_are_determined(
-    eigenvalue: float, refused: bool
-) -> None:
+def test_the_smallest_eigenvalue_decides_whether_unknowns_are_determined(eigenvalue, refused):
     """Two unknowns correlated by ``-(1 - e)`` have the eigenvalue ``e``, and the last pivot ``2 e``."""
     N = np.array([[1.0, 1.0 - eigenvalue], [1.0 - eigenvalue, 1.0]])
     if refused:
@@ -457,9 +398,7 @@ def test_the_smallest_eigenvalue_decides_whether_unknowns_are_determined(
 
 
 @pytest.mark.parametrize(("part", "named"), [(0.18, ("a", "b")), (0.22, ("a", "b", "c"))])
-def test_unknowns_with_a_small_part_in_what_is_free_are_not_named(
-    part: float, named: tuple[str, ...]
-) -> None:
+def test_unknowns_with_a_small_part_in_what_is_free_are_not_named(part, named):
     """1 a + 0.83 b + c's part is free; named is who has more than a fifth of the strongest part.
 
     Derivatives of length 1 that make a triangle with these sides: their cosines are those of its angles.
@@ -474,19 +413,7 @@ def test_unknowns_with_a_small_part_in_what_is_free_are_not_named(
     assert caught.value.parameters == named
 
 
-def test_the_limit_grows_with_the_scatter() -> None:
-    """Half of all normal errors are within 0.6745 sigmas: 2.0 means a scatter of 2.965, five times 14.83."""
-    size = np.array([2.0] * 9 + [14.7, 14.9])
-
-    def constant(_: np.ndarray) -> Linear:
-        return Linear(residual=size, jacobian=np.zeros((11, 1)), cov=np.ones(11))
-
-    known = Observations("known", prior(np.zeros(1), np.eye(1), [0], 1))
-    found = adjust([Observations("errors", constant), known], np.zeros(1), ["x"], reject_sigmas=5.0)
-    assert found.used["errors"].tolist() == [True] * 10 + [False]
-
-
-def test_huber_limit_of_two_coordinates() -> None:
+def test_huber_limit_of_two_coordinates():
     """86.64 % of normal errors are within 1.5 sigmas, of blocks of two within sqrt(-2 ln 0.1336) = 2.006."""
     J = np.array([[1.0], [0.0]])
     two = Observations("two", lambda x: Linear(residual=J @ x + [10.0, 0.0], jacobian=J, cov=np.eye(2)[None]))
@@ -494,14 +421,7 @@ def test_huber_limit_of_two_coordinates() -> None:
     assert found.N[0, 0] == pytest.approx(0.2006, abs=1e-4)
 
 
-def test_nothing_to_reject_costs_no_further_step(points: tuple[np.ndarray, ...]) -> None:
-    x, y, sigma = points
-    plain = adjust([line(x, y, sigma)], np.zeros(2), LINE)
-    asked = adjust([line(x, y, sigma)], np.zeros(2), LINE, reject_sigmas=100.0)
-    assert asked.n_iterations == plain.n_iterations
-
-
-def test_uneven_inner_constraints_are_the_adjustment_of_what_they_leave(rng: np.random.Generator) -> None:
+def test_uneven_inner_constraints_are_the_adjustment_of_what_they_leave(rng):
     """``G x = 0`` leaves ``x = T z``: covariance ``T (T^T N T)^-1 T^T``, whatever the weights in ``G``."""
     group = levels(RING, 4, rng)
     G = np.array([[1.0, 2.0, 0.0, -0.5]])
@@ -510,47 +430,47 @@ def test_uneven_inner_constraints_are_the_adjustment_of_what_they_leave(rng: np.
     N = part.jacobian.T @ part.jacobian / 1e-4
     T = np.linalg.svd(G)[2][1:].T
     Q = T @ np.linalg.inv(T.T @ N @ T) @ T.T
-    np.testing.assert_allclose(found.cov, Q, atol=1e-12)
-    np.testing.assert_allclose(found.x, -Q @ part.jacobian.T @ part.residual / 1e-4, atol=1e-9)
+    assert_allclose(found.cov, Q, atol=1e-12)
+    assert_allclose(found.x, -Q @ part.jacobian.T @ part.residual / 1e-4, atol=1e-9)
     # all five differences are of one group, and three unknowns are left to them
     assert found.group_redundancy["levels"] == pytest.approx(2.0)
     assert (found.redundancy, found.sigma0_squared) == pytest.approx((2.0, found.group_sigma0["levels"] ** 2))
 
 
-def test_observations_that_just_determine_the_unknowns_have_no_scatter() -> None:
+def test_observations_that_just_determine_the_unknowns_have_no_scatter():
     """Two points make a line: nothing is left over, for the group as for the whole."""
     found = adjust(
         [line(np.array([0.0, 2.0]), np.array([1.0, 5.0]), np.array([0.1, 0.1]))], np.zeros(2), LINE
     )
-    np.testing.assert_allclose(found.x, [1.0, 2.0], atol=1e-9)
-    np.testing.assert_allclose(found.cov, [[0.01, -0.005], [-0.005, 0.005]], rtol=1e-9)
+    assert_allclose(found.x, [1.0, 2.0], atol=1e-9)
+    assert_allclose(found.cov, [[0.01, -0.005], [-0.005, 0.005]], rtol=1e-9)
     assert (found.redundancy, found.sigma0_squared) == (0.0, 0.0)
     assert found.group_redundancy["points"] == pytest.approx(0.0, abs=1e-9)
     assert found.group_sigma0["points"] == 0.0
-    np.testing.assert_allclose(found.sigmas, [0.1, np.sqrt(0.005)], rtol=1e-9)
+    assert_allclose(found.sigmas, [0.1, np.sqrt(0.005)], rtol=1e-9)
 
 
 @pytest.mark.parametrize("damping", [0.0, 0.5])
-def test_a_damped_step_stays_off_the_datum(damping: float, rng: np.random.Generator) -> None:
+def test_a_damped_step_stays_off_the_datum(damping, rng):
     """``G dx = 0`` whatever the damping; without damping it is the step of least squares."""
     group = levels(RING, 4, rng)
     here = normal_equations([group], np.zeros(4), 4, [None], None)
     G = np.array([[1.0, 2.0, 0.0, -0.5]])
     dx = damped_step(here, tuple("ABCD"), G, damping, "")
-    np.testing.assert_allclose(G @ dx, 0.0, atol=1e-12)
+    assert_allclose(G @ dx, 0.0, atol=1e-12)
     if damping == 0.0:
-        np.testing.assert_allclose(here.N @ dx, here.n, rtol=1e-9)
+        assert_allclose(here.N @ dx, here.n, rtol=1e-9)
 
 
 @pytest.mark.parametrize(("large", "steps"), [(1e3, 1), (0.0, 10)])
-def test_a_gain_that_is_nothing_beside_the_cost_ends_the_steps(large: float, steps: int) -> None:
+def test_a_gain_that_is_nothing_beside_the_cost_ends_the_steps(large, steps):
     """From x = 0, where 0.01 seems to be won, every step leads to 10; 1e-4 is 1e-10 of a cost of 1e6.
 
     Alone it is no small gain: steps shrink by damping, 1e-4 first and ten times as much each time, until
     ``1e-4 / (1 + damping)`` is below 1e-8 of a cost of one, at a damping above 9999.
     """
 
-    def model(x: np.ndarray) -> Linear:
+    def model(x):
         near = 0.01 if x[0] == 0.0 else 10.0
         return Linear(residual=np.array([near, large]), jacobian=np.array([[1.0], [0.0]]), cov=np.ones(2))
 
@@ -560,7 +480,7 @@ def test_a_gain_that_is_nothing_beside_the_cost_ends_the_steps(large: float, ste
     assert found.n_iterations == steps
 
 
-def test_a_datum_makes_up_for_its_own_defect_and_for_no_other() -> None:
+def test_a_datum_makes_up_for_its_own_defect_and_for_no_other():
     """Of two unknowns only the difference is observed: a datum of their sum helps, one of it does not."""
     N = np.array([[1.0, -1.0], [-1.0, 1.0]])
     check_rank(N, ("a", "b"), np.array([[1.0, 1.0]]), "")
@@ -568,7 +488,7 @@ def test_a_datum_makes_up_for_its_own_defect_and_for_no_other() -> None:
         check_rank(N, ("a", "b"), np.array([[1.0, -1.0]]), "")
 
 
-def test_no_mask_is_a_mask_of_all() -> None:
+def test_no_mask_is_a_mask_of_all():
     some, every = np.array([True, False]), np.array([True, True])
     for a, b, same in (
         (None, None, True),

@@ -1,10 +1,9 @@
 """Camera files of COLMAP, OpenCV and ROS: conventions, round trips, refusals."""
 
-from pathlib import Path
-
 import cv2
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from thalweg.core import (
     Camera,
@@ -33,7 +32,7 @@ FISHEYE = Camera(
 
 @pytest.mark.parametrize("camera", [BROWN, FISHEYE], ids=lambda c: c.model)
 @pytest.mark.parametrize("name", ["camera.yaml", "camera.json", "cameras.txt"])
-def test_round_trip(tmp_path: Path, camera: Camera, name: str) -> None:
+def test_round_trip(tmp_path, camera, name):
     path = tmp_path / name
     if name.endswith(".txt"):
         write_colmap(path, {3: camera})
@@ -44,11 +43,11 @@ def test_round_trip(tmp_path: Path, camera: Camera, name: str) -> None:
         assert found.name == "boat"
     assert (found.model, found.size_px) == (camera.model, camera.size_px)
     # repr of a float64 is exact; 0.5 off and on rounds the last digit of cx
-    np.testing.assert_allclose(found.parameters, camera.parameters, rtol=1e-15)
+    assert_allclose(found.parameters, camera.parameters, rtol=1e-15)
 
 
 @pytest.mark.parametrize("suffix", ["yaml", "json"])
-def test_opencv_reads_ours_and_we_read_opencvs(tmp_path: Path, suffix: str) -> None:
+def test_opencv_reads_ours_and_we_read_opencvs(tmp_path, suffix):
     path = tmp_path / f"camera.{suffix}"
     K = np.array([[3717.25, 0, 2300.5], [0, 3711.0, 1719.5], [0, 0, 1.0]])
     storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
@@ -58,15 +57,15 @@ def test_opencv_reads_ours_and_we_read_opencvs(tmp_path: Path, suffix: str) -> N
     storage.write("distortion_coefficients", BROWN.parameters[None, 4:])
     storage.release()
     # OpenCV writes 16 digits
-    np.testing.assert_allclose(read_opencv(path).parameters, BROWN.parameters, rtol=1e-14)
+    assert_allclose(read_opencv(path).parameters, BROWN.parameters, rtol=1e-14)
     ours = tmp_path / "ours.yaml"
     write_opencv(ours, BROWN)
     storage = cv2.FileStorage(str(ours), cv2.FILE_STORAGE_READ)
-    np.testing.assert_allclose(storage.getNode("camera_matrix").mat(), K)
-    np.testing.assert_allclose(storage.getNode("distortion_coefficients").mat().ravel(), BROWN.parameters[4:])
+    assert_allclose(storage.getNode("camera_matrix").mat(), K)
+    assert_allclose(storage.getNode("distortion_coefficients").mat().ravel(), BROWN.parameters[4:])
 
 
-def test_camera_info_of_a_real_set(tmp_path: Path) -> None:
+def test_camera_info_of_a_real_set(tmp_path):
     """As the ACFR calibration set has it: lists K and D, ROS's centre of the first pixel as (0, 0)."""
     path = tmp_path / "camera_info.yaml"
     path.write_text(
@@ -76,7 +75,7 @@ def test_camera_info_of_a_real_set(tmp_path: Path) -> None:
     )
     found = read_opencv(path)
     assert (found.model, found.size_px, found.name) == ("fisheye", (1920, 1208), "camera_info")
-    np.testing.assert_allclose(found.parameters, FISHEYE.parameters, rtol=1e-12)
+    assert_allclose(found.parameters, FISHEYE.parameters, rtol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -93,10 +92,10 @@ def test_camera_info_of_a_real_set(tmp_path: Path) -> None:
         ("1 OPENCV_FISHEYE 100 80 90 91 50 40 1 2 3 4", [90, 91, 50, 40, 1, 2, 3, 4]),
     ],
 )
-def test_models_of_colmap(tmp_path: Path, line: str, parameters: list[float]) -> None:
+def test_models_of_colmap(tmp_path, line, parameters):
     path = tmp_path / "cameras.txt"
     path.write_text(f"# Camera list\n{line}\n")
-    np.testing.assert_array_equal(read_colmap(path)[1].parameters, parameters)
+    assert_array_equal(read_colmap(path)[1].parameters, parameters)
 
 
 @pytest.mark.parametrize(
@@ -110,7 +109,7 @@ def test_models_of_colmap(tmp_path: Path, line: str, parameters: list[float]) ->
         ("# nothing", "no camera"),
     ],
 )
-def test_wrong_colmap_files(tmp_path: Path, text: str, answer: str) -> None:
+def test_wrong_colmap_files(tmp_path, text, answer):
     path = tmp_path / "cameras.txt"
     path.write_text(text + "\n")
     with pytest.raises(InputError, match=answer):
@@ -122,40 +121,33 @@ def test_wrong_colmap_files(tmp_path: Path, text: str, answer: str) -> None:
     [
         ("K: [1, 0, 5, 0, 1, 5, 0, 0, 1]\nD: [1, 2, 3, 4]\nwidth: 9\nheight: 9", "no distortion_model"),
         ("K: [1, 0.2, 5, 0, 1, 5, 0, 0, 1]\nD: [0, 0, 0, 0, 0]\nwidth: 9\nheight: 9", "skew"),
-        ("K: [1, 0, 5, 0, 1, 5, 0, 0, 1]\nD: [0, 0, 0, 0, 0]", "no size"),
+        *(
+            (f"K: [1, 0, 5, 0, 1, 5, 0, 0, 1]\nD: [0, 0, 0, 0, 0]{size}", "no size of the picture")
+            for size in (
+                "",
+                "\nwidth: 9",
+                "\nheight: 9",
+                "\nwidth: 9\nheight: tall",
+                "\nwidth: wide\nheight: 9",
+            )
+        ),
         ("K: [1, 0, 5]\nD: [0, 0, 0, 0, 0]\nwidth: 9\nheight: 9", "3 numbers"),
         ("D: [0, 0, 0, 0, 0]\nwidth: 9\nheight: 9", "none of the keys K"),
         ("K: [a]\nD: [0, 0, 0, 0, 0]\nwidth: 9\nheight: 9", "no numbers"),
         ("- 1", "no keys"),
     ],
 )
-def test_wrong_opencv_files(tmp_path: Path, text: str, answer: str) -> None:
+def test_wrong_opencv_files(tmp_path, text, answer):
     path = tmp_path / "camera.yaml"
     path.write_text(text + "\n")
     with pytest.raises((InputError, UnsupportedError), match=answer):
         read_opencv(path)
 
 
-def test_a_missing_file_is_told(tmp_path: Path) -> None:
+def test_a_missing_file_is_told(tmp_path):
     for read in (read_colmap, read_opencv):
         with pytest.raises(InputError, match="file not found"):
             read(tmp_path / "none.txt")
-
-
-@pytest.mark.parametrize("left_out", ["image_width", "image_height"])
-def test_half_a_size_is_none(tmp_path: Path, left_out: str) -> None:
-    path = tmp_path / "camera.yaml"
-    write_opencv(path, BROWN)
-    path.write_text("\n".join(row for row in path.read_text().splitlines() if left_out not in row))
-    with pytest.raises(InputError, match="no size of the picture"):
-        read_opencv(path)
-
-
-def test_a_file_that_breaks_off_is_told(tmp_path: Path) -> None:
-    path = tmp_path / "camera.yaml"
-    path.write_text("image_width: 10\ncamera_matrix: {rows: 3, data: [1, 2")
-    with pytest.raises(InputError, match=r"camera\.yaml"):
-        read_opencv(path)
 
 
 @pytest.mark.parametrize(
@@ -167,7 +159,7 @@ def test_a_file_that_breaks_off_is_told(tmp_path: Path) -> None:
         ("camera_model: pinhole\ndistortion_model: equidistant", "fisheye"),
     ],
 )
-def test_words_for_a_lens(tmp_path: Path, words: str, model: str) -> None:
+def test_words_for_a_lens(tmp_path, words, model):
     """Four coefficients may be either lens; 'pinhole' says nothing but as the model of the distortion."""
     path = tmp_path / "camera.yaml"
     path.write_text(
@@ -176,17 +168,7 @@ def test_words_for_a_lens(tmp_path: Path, words: str, model: str) -> None:
     assert read_opencv(path).model == model
 
 
-@pytest.mark.parametrize("size", ["width: 640\nheight: tall", "width: wide\nheight: 480", "width: 640"])
-def test_a_size_in_words_is_none(tmp_path: Path, size: str) -> None:
-    path = tmp_path / "camera.yaml"
-    path.write_text(
-        f"K: [500, 0, 320, 0, 500, 240, 0, 0, 1]\nD: [0, 0, 0, 0, 0]\ndistortion_model: plumb_bob\n{size}\n"
-    )
-    with pytest.raises(InputError, match="no size of the picture"):
-        read_opencv(path)
-
-
-def test_files_of_a_camera_number_by_number(tmp_path: Path) -> None:
+def test_files_of_a_camera_number_by_number(tmp_path):
     """Pixels of OpenCV count from the middle of the first one, those of COLMAP from its corner."""
     camera = Camera(
         model="perspective",
@@ -231,9 +213,7 @@ METASHAPE = """<?xml version="1.0" encoding="UTF-8"?>
         ("fisheye", "<k4>0.4</k4><b2>0</b2>", "fisheye", [500, 500, 323, 238, 0.1, 0.2, 0.3, 0.4]),
     ],
 )  # fmt: skip
-def test_a_lens_of_metashape(
-    tmp_path: Path, kind: str, more: str, model: str, parameters: list[float]
-) -> None:
+def test_a_lens_of_metashape(tmp_path, kind, more, model, parameters):
     path = tmp_path / "lens.xml"
     path.write_text(METASHAPE.format(kind=kind, more=more))
     found = read_metashape(path)
@@ -254,9 +234,7 @@ def test_a_lens_of_metashape(
         ("frame", "<b1>wide</b1>", "no lens"),
     ],
 )
-def test_terms_of_metashape_that_are_not_known_are_refused(
-    tmp_path: Path, kind: str, more: str, words: str
-) -> None:
+def test_terms_of_metashape_that_are_not_known_are_refused(tmp_path, kind, more, words):
     path = tmp_path / "lens.xml"
     path.write_text(METASHAPE.format(kind=kind, more=more))
     with pytest.raises(InputError) as caught:
@@ -264,7 +242,7 @@ def test_terms_of_metashape_that_are_not_known_are_refused(
     assert words in str(caught.value)
 
 
-def test_a_lens_in_one_line_of_numbers(tmp_path: Path) -> None:
+def test_a_lens_in_one_line_of_numbers(tmp_path):
     path = tmp_path / "lens.txt"
     path.write_text("640 480 500 0 320 0 501 240 0 0 1 0.1 0.2 0.01 0.02 0.3\n")
     found = read_opencv(path)
@@ -272,7 +250,7 @@ def test_a_lens_in_one_line_of_numbers(tmp_path: Path) -> None:
     assert found.parameters.tolist() == [500, 501, 320.5, 240.5, 0.1, 0.2, 0.01, 0.02, 0.3]
 
 
-def test_files_that_are_no_text_or_lie_in_new_folders(tmp_path: Path) -> None:
+def test_files_that_are_no_text_or_lie_in_new_folders(tmp_path):
     (tmp_path / "bin.txt").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(InputError, match="no text file"):
         read_colmap(tmp_path / "bin.txt")

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
+from numpy.testing import assert_allclose
 from pyproj import CRS, Geod, Transformer
 from scipy.spatial.transform import Rotation
 
@@ -29,18 +30,18 @@ TO_ECEF = Transformer.from_crs(4979, 4978, always_xy=True)
 
 
 @given(ANGLES, ANGLES, ANGLES)
-def test_rotations_as_scipy_makes_them(a: float, b: float, c: float) -> None:
+def test_rotations_as_scipy_makes_them(a, b, c):
     # upper case: intrinsic axes, so R = R_x(a) R_y(b) R_z(c); a product of three rotations: 1e-15
     expected = Rotation.from_euler("XYZ", [a, b, c]).as_matrix()
-    np.testing.assert_allclose(rotation_opk(a, b, c), expected, atol=1e-14)
+    assert_allclose(rotation_opk(a, b, c), expected, atol=1e-14)
     for make, axis in ((rotation_x, "x"), (rotation_y, "y"), (rotation_z, "z")):
-        np.testing.assert_allclose(make(a), Rotation.from_euler(axis, a).as_matrix(), atol=1e-15)
+        assert_allclose(make(a), Rotation.from_euler(axis, a).as_matrix(), atol=1e-15)
 
 
 @given(ANGLES, ANGLES, ANGLES)
-def test_body_rotation_is_the_aerospace_sequence(roll: float, pitch: float, heading: float) -> None:
+def test_body_rotation_is_the_aerospace_sequence(roll, pitch, heading):
     expected = R_ENU_NED @ Rotation.from_euler("ZYX", [heading, pitch, roll]).as_matrix()
-    np.testing.assert_allclose(rotation_enu_body(roll, pitch, heading), expected, atol=1e-14)
+    assert_allclose(rotation_enu_body(roll, pitch, heading), expected, atol=1e-14)
 
 
 @pytest.mark.parametrize(
@@ -54,18 +55,16 @@ def test_body_rotation_is_the_aerospace_sequence(roll: float, pitch: float, head
         ((0, 0, 45), (0, 0, 1), (0, 0, -1)),  # body z is down
     ],
 )
-def test_signs_of_attitude(
-    angles_deg: tuple[float, ...], body: tuple[float, ...], enu: tuple[float, ...]
-) -> None:
+def test_signs_of_attitude(angles_deg, body, enu):
     R = rotation_enu_body(*np.deg2rad(angles_deg))
-    np.testing.assert_allclose(R @ body, enu, atol=1e-15)
+    assert_allclose(R @ body, enu, atol=1e-15)
 
 
 @given(ANGLES, st.floats(-1.55, 1.55), st.floats(0, 2 * np.pi, exclude_max=True))
-def test_attitude_round_trip(roll: float, pitch: float, heading: float) -> None:
+def test_attitude_round_trip(roll, pitch, heading):
     r, p, h = roll_pitch_heading(rotation_enu_body(roll, pitch, heading))
 
-    def same(a: float, b: float, tolerance: float) -> bool:
+    def same(a, b, tolerance):
         return abs((a - b + np.pi) % (2 * np.pi) - np.pi) < tolerance
 
     # at a pitch of 1.55 rad arcsin and the two arctangents lose a factor of 1 / cos(1.55) = 48
@@ -75,32 +74,26 @@ def test_attitude_round_trip(roll: float, pitch: float, heading: float) -> None:
     assert 0 <= float(h) < 2 * np.pi or float(h) == pytest.approx(2 * np.pi)
 
 
-def test_attitudes_broadcast() -> None:
-    R = rotation_enu_body(np.zeros((4, 1)), 0.1, np.linspace(0, 1, 3))
-    assert R.shape == (4, 3, 3, 3)
-    np.testing.assert_allclose(np.linalg.det(R), 1.0)
-
-
-def test_transform_has_its_parts() -> None:
+def test_transform_has_its_parts():
     T = transform(rotation_z(0.3), [1, 2, 3])
-    np.testing.assert_allclose(T @ [1, 0, 0, 1], [np.cos(0.3) + 1, np.sin(0.3) + 2, 3, 1])
+    assert_allclose(T @ [1, 0, 0, 1], [np.cos(0.3) + 1, np.sin(0.3) + 2, 3, 1])
 
 
-def test_enu_axes_at_a_position() -> None:
+def test_enu_axes_at_a_position():
     R = rotation_ecef_enu(51.05, 13.25)
     h = 1.0
     up = np.subtract(TO_ECEF.transform(13.25, 51.05, 300 + h), TO_ECEF.transform(13.25, 51.05, 300))
     # differences of 6e6 m: 1e-9
-    np.testing.assert_allclose(R @ [0, 0, 1], up, atol=3e-9)
+    assert_allclose(R @ [0, 0, 1], up, atol=3e-9)
     north = np.subtract(
         TO_ECEF.transform(13.25, 51.05 + 1e-5, 300), TO_ECEF.transform(13.25, 51.05 - 1e-5, 300)
     )
-    np.testing.assert_allclose(R @ [0, 1, 0], north / np.linalg.norm(north), atol=1e-8)
-    np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-15)
+    assert_allclose(R @ [0, 1, 0], north / np.linalg.norm(north), atol=1e-8)
+    assert_allclose(R @ R.T, np.eye(3), atol=1e-15)
     assert rotation_ecef_enu(np.zeros(5), np.arange(5)).shape == (5, 3, 3)
 
 
-def test_local_frame_is_the_rotated_difference_of_earth_centred_coordinates() -> None:
+def test_local_frame_is_the_rotated_difference_of_earth_centred_coordinates():
     rng = np.random.default_rng(0)
     lat, lon, h = (
         51.05 + rng.uniform(-0.02, 0.02, 50),
@@ -111,62 +104,49 @@ def test_local_frame_is_the_rotated_difference_of_earth_centred_coordinates() ->
     origin = np.array(TO_ECEF.transform(13.25, 51.05, 300.0))
     expected = (ecef - origin) @ rotation_ecef_enu(51.05, 13.25)
     # earth-centred coordinates in float64: 1e-9 m
-    np.testing.assert_allclose(FRAME.from_geodetic(lat, lon, h), expected, atol=5e-9)
-    np.testing.assert_allclose(FRAME.from_ecef(ecef), expected, atol=5e-9)
+    assert_allclose(FRAME.from_geodetic(lat, lon, h), expected, atol=5e-9)
+    assert_allclose(FRAME.from_ecef(ecef), expected, atol=5e-9)
     back = FRAME.to_geodetic(expected)
     # 1e-14 of a degree is 1 nm
-    np.testing.assert_allclose(back[0], lat, atol=1e-12)
-    np.testing.assert_allclose(back[1], lon, atol=1e-12)
-    np.testing.assert_allclose(back[2], h, atol=5e-9)
+    assert_allclose(back[0], lat, atol=1e-12)
+    assert_allclose(back[1], lon, atol=1e-12)
+    assert_allclose(back[2], h, atol=5e-9)
 
 
-def test_vertical_elsewhere() -> None:
-    np.testing.assert_allclose(FRAME.R_wcs_enu(51.05, 13.25), np.eye(3), atol=1e-15)
+def test_vertical_elsewhere():
+    assert_allclose(FRAME.R_wcs_enu(51.05, 13.25), np.eye(3), atol=1e-15)
     # 0.0135 degrees of latitude are 1.5 km: that much the vertical turns
     up = FRAME.R_wcs_enu(51.05 + 0.0135, 13.25)[:, 2]
     assert np.rad2deg(np.arccos(up[2])) == pytest.approx(0.0135, rel=1e-6)
     assert up[1] > 0
 
 
-def test_map_export_as_pyproj_does_it() -> None:
+def test_map_export_as_pyproj_does_it():
     points = np.random.default_rng(1).uniform(-2000, 2000, (40, 3))
     lat, lon, h = FRAME.to_geodetic(points)
     # from the datum of the grid: no shift
     east, north = Transformer.from_crs(4258, 25833, always_xy=True).transform(lon, lat)
-    np.testing.assert_allclose(FRAME.to_map(points, UTM), np.stack([east, north, h], axis=-1), atol=1e-8)
+    assert_allclose(FRAME.to_map(points, UTM), np.stack([east, north, h], axis=-1), atol=1e-8)
     compound = FRAME.to_map(points, CRS("EPSG:25833+7837"))
-    np.testing.assert_allclose(compound, FRAME.to_map(points, UTM), atol=1e-9)  # height stays ellipsoidal
+    assert_allclose(compound, FRAME.to_map(points, UTM), atol=1e-9)  # height stays ellipsoidal
 
 
 @pytest.mark.parametrize("code", [4326, 4979, 4978])
-def test_map_export_refuses_what_is_no_map(code: int) -> None:
+def test_map_export_refuses_what_is_no_map(code):
     with pytest.raises(GeometryError, match="is not a projected CRS"):
         FRAME.to_map(np.zeros((1, 3)), CRS(code))
 
 
-@pytest.mark.parametrize(("lat", "lon"), [(0.0, 105.0), (51.0, 60.0), (51.0, -75.0), (-33.0, 15.0)])
-def test_map_export_refuses_a_grid_of_another_place(lat: float, lon: float) -> None:
-    """PROJ alone gives plausible nonsense for most of these places."""
-    nowhere = LocalFrame(lat_deg=lat, lon_deg=lon, h_ell_m=0.0)
-    with pytest.raises(GeometryError, match="1 of 1 points are outside the area of use"):
-        nowhere.to_map(np.zeros((1, 3)), CRS(25833))
-
-
 @pytest.mark.parametrize("code", [31468, 5668, 2398, 27700, 29903])
-def test_map_export_refuses_another_datum(code: int) -> None:
+def test_map_export_refuses_another_datum(code):
     """Bessel, Krassowsky (Gauss-Krueger) and Airy (British, Irish): without a datum shift some 180 m away."""
     with pytest.raises(GeometryError, match="another datum than that of GNSS positions"):
         FRAME.to_map(np.zeros((1, 3)), CRS(code))
 
 
-def test_map_export_refuses_a_web_map() -> None:
+def test_map_export_refuses_a_web_map():
     with pytest.raises(GeometryError, match=r"stretches distances by \+5\d\.\d %"):
         FRAME.to_map(np.zeros((1, 3)), CRS(3857))
-
-
-def test_a_survey_may_reach_over_the_border_of_its_zone() -> None:
-    beside = LocalFrame(lat_deg=51.0, lon_deg=18.5, h_ell_m=0.0)  # zone 33 ends at 18 degrees
-    assert beside.to_map(np.zeros((1, 3)), CRS(25833)).shape == (1, 3)
 
 
 @pytest.mark.parametrize(
@@ -181,11 +161,13 @@ def test_a_survey_may_reach_over_the_border_of_its_zone() -> None:
         (51.0, 8.9, False),
         (51.0, 20.9, True),
         (51.0, 21.1, False),
+        # PROJ alone gives plausible nonsense for most of these places
+        (0.0, 105.0, False),
+        (51.0, -75.0, False),
+        (-33.0, 15.0, False),
     ],
 )
-def test_the_area_of_a_grid_ends_three_degrees_beyond_its_border(
-    lat: float, lon: float, inside: bool
-) -> None:
+def test_the_area_of_a_grid_ends_three_degrees_beyond_its_border(lat, lon, inside):
     frame = LocalFrame(lat_deg=lat, lon_deg=lon, h_ell_m=0.0)
     if inside:
         frame.to_map(np.zeros((1, 3)), CRS(25833))
@@ -195,7 +177,7 @@ def test_the_area_of_a_grid_ends_three_degrees_beyond_its_border(
 
 
 @pytest.mark.parametrize(("lat", "lon"), [(51.05, 13.25), (51.05, 17.5), (51.05, 12.2), (35.0, 16.0)])
-def test_grid_factors_against_finite_differences(lat: float, lon: float) -> None:
+def test_grid_factors_against_finite_differences(lat, lon):
     frame = LocalFrame(lat_deg=lat, lon_deg=lon, h_ell_m=0.0)
     step = 10.0
     a, b = frame.to_map(np.array([[0, -step, 0], [0, step, 0]]), UTM)
@@ -209,7 +191,7 @@ def test_grid_factors_against_finite_differences(lat: float, lon: float) -> None
     assert np.sign(convergence) == np.sign(lon - 15.0)
 
 
-def test_headings_in_the_frame_and_in_the_grid() -> None:
+def test_headings_in_the_frame_and_in_the_grid():
     """A true heading is a direction in the frame; in the grid it is turned by the convergence."""
     heading = np.deg2rad(30.0)
     lon, lat, _ = Geod(ellps="WGS84").fwd(13.25, 51.05, 30.0, 10.0)
@@ -222,21 +204,21 @@ def test_headings_in_the_frame_and_in_the_grid() -> None:
     assert in_grid == pytest.approx(heading - convergence, abs=2e-6)
 
 
-def test_axes_of_attitude_by_hand() -> None:
+def test_axes_of_attitude_by_hand():
     """Heading east, nose level: roll about east, pitch about south (to the right), heading about down."""
     axes = attitude_axes(rotation_enu_body(0.0, 0.0, np.pi / 2)[None])[0]
-    np.testing.assert_allclose(axes, [[1, 0, 0], [0, -1, 0], [0, 0, -1]], atol=1e-15)
+    assert_allclose(axes, [[1, 0, 0], [0, -1, 0], [0, 0, -1]], atol=1e-15)
 
 
-def test_the_axes_that_omega_phi_and_kappa_turn_about_by_hand() -> None:
+def test_the_axes_that_omega_phi_and_kappa_turn_about_by_hand():
     """Omega about x; phi about y after omega; kappa about z after both. Omega 60, phi 30 degrees."""
     axes = opk_axes(np.deg2rad(60.0), np.deg2rad(30.0))
-    np.testing.assert_allclose(axes[:, 0], [1.0, 0.0, 0.0])
-    np.testing.assert_allclose(axes[:, 1], [0.0, 0.5, np.sqrt(0.75)])
-    np.testing.assert_allclose(axes[:, 2], [0.5, -0.75, np.sqrt(0.1875)])
+    assert_allclose(axes[:, 0], [1.0, 0.0, 0.0])
+    assert_allclose(axes[:, 1], [0.0, 0.5, np.sqrt(0.75)])
+    assert_allclose(axes[:, 2], [0.5, -0.75, np.sqrt(0.1875)])
 
 
-def test_a_point_that_a_grid_without_limits_cannot_express_is_refused() -> None:
+def test_a_point_that_a_grid_without_limits_cannot_express_is_refused():
     """A transverse Mercator grid has no place for what is 90 degrees away from its meridian."""
     grid = CRS.from_proj4("+proj=tmerc +lat_0=0 +lon_0=13.25 +k=1 +ellps=GRS80 +units=m +type=crs")
     away = TO_ECEF.transform(13.25 + 90.0, 0.0, 0.0)
@@ -244,20 +226,20 @@ def test_a_point_that_a_grid_without_limits_cannot_express_is_refused() -> None:
         FRAME.to_map(FRAME.R_ecef_enu.T @ (np.array(away) - FRAME.origin_ecef_m), grid)
 
 
-def test_a_point_of_a_grid_is_that_of_its_latitude_and_longitude() -> None:
+def test_a_point_of_a_grid_is_that_of_its_latitude_and_longitude():
     """Against PROJ's own way from ETRS89; easting, northing and height have their places, also in arrays."""
     lat, lon, h = np.array([[51.06, 51.01], [51.2, 51.1]]), np.array([[13.27, 13.3], [13.1, 13.4]]), 310.0
     east, north = Transformer.from_crs(4258, 25833, always_xy=True).transform(lon, lat)
     there = FRAME.from_map(np.stack([east, north, np.full((2, 2), h)], axis=-1), UTM)
     # PROJ's series are good to 1e-9 m, coordinates of 5.6e6 m in float64 too
-    np.testing.assert_allclose(there, FRAME.from_geodetic(lat, lon, h), atol=1e-6)
+    assert_allclose(there, FRAME.from_geodetic(lat, lon, h), atol=1e-6)
     # and back
-    np.testing.assert_allclose(FRAME.to_map(there, UTM)[..., 1], north, atol=1e-6)
+    assert_allclose(FRAME.to_map(there, UTM)[..., 1], north, atol=1e-6)
     with pytest.raises(GeometryError, match="outside"):
         FRAME.from_map([[5_656_000.0, 377_000.0, 310.0]], UTM)  # northing before easting
 
 
-def test_a_grid_narrower_than_a_degree_has_an_area_of_use() -> None:
+def test_a_grid_narrower_than_a_degree_has_an_area_of_use():
     """The grid of Hong Kong reaches over three quarters of a degree, and does not serve Saxony."""
     grid = CRS.from_epsg(2326)
     _check_area_of_use(grid, np.array([22.3]), np.array([114.1]))
@@ -265,9 +247,9 @@ def test_a_grid_narrower_than_a_degree_has_an_area_of_use() -> None:
         _check_area_of_use(grid, np.array([22.3]), np.array([13.0]))
 
 
-def test_an_origin_of_numpy_numbers_is_the_same_place() -> None:
+def test_an_origin_of_numpy_numbers_is_the_same_place():
     """Row of a table as origin: PROJ once read its numbers as 0, and all lay 5000 km off without a word."""
     origin = {"lat_deg": 51.58, "lon_deg": 14.40, "h_ell_m": 1030.0}
     frame = LocalFrame(**{name: np.float64(value) for name, value in origin.items()})
-    np.testing.assert_allclose(frame.from_geodetic(*origin.values()), 0.0, atol=1e-9)
+    assert_allclose(frame.from_geodetic(*origin.values()), 0.0, atol=1e-9)
     assert frame == LocalFrame(**origin)

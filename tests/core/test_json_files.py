@@ -9,13 +9,13 @@ import pytest
 from thalweg.core import InputError, final_path, parse_xml, read_json, read_marked, read_parquet, write_marked
 
 
-def read(path: Path) -> dict[str, object]:
+def read(path):
     return read_marked(
         path, "mounts", kind="places", version=2, what="places of a boat", cure="Make it again"
     )
 
 
-def test_a_file_gives_back_its_content_and_says_what_it_is(tmp_path: Path) -> None:
+def test_a_file_gives_back_its_content_and_says_what_it_is(tmp_path):
     path = tmp_path / "new/m.json"
     write_marked(path, kind="places", version=2, content={"mounts": {"lidar": [0.1]}, "more": 1})
     assert read(path) == {"lidar": [0.1]}
@@ -35,7 +35,7 @@ def test_a_file_gives_back_its_content_and_says_what_it_is(tmp_path: Path) -> No
         (b"\xff\xfe", "no JSON .*; expected places of a boat"),
     ],
 )
-def test_anything_else_is_refused(tmp_path: Path, text: str | bytes | None, words: str) -> None:
+def test_anything_else_is_refused(tmp_path, text, words):
     path = tmp_path / "m.json"
     if text is not None:
         path.write_bytes(text if isinstance(text, bytes) else text.encode())
@@ -45,7 +45,7 @@ def test_anything_else_is_refused(tmp_path: Path, text: str | bytes | None, word
     assert str(caught.value).endswith("Make it again.")
 
 
-def test_other_files_between_programs(tmp_path: Path) -> None:
+def test_other_files_between_programs(tmp_path):
     """XML without document types, JSON with a mark of its encoding, Parquet; paths of files being written."""
     assert parse_xml("<a><b x='1'/></a>", "a.xml")[0].get("x") == "1"
     for text, words in (

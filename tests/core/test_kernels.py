@@ -6,9 +6,7 @@ import pwd
 import re
 import sys
 import time
-from collections.abc import Callable, Iterator
-from pathlib import Path
-from types import ModuleType, SimpleNamespace
+from types import SimpleNamespace
 
 import pytest
 
@@ -33,7 +31,7 @@ FILES = {
 
 
 @pytest.fixture
-def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[str], ModuleType]]:
+def bench(tmp_path, monkeypatch):
     """Imports a module of a small package anew, as another process would."""
     for name, text in FILES.items():
         path = tmp_path / "bench" / name
@@ -44,14 +42,14 @@ def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
 
-    def forget() -> None:
+    def forget():
         for name in [name for name in sys.modules if name.split(".")[0] == "bench"]:
             del sys.modules[name]
         for known in [name for name in kernels._folders if name.split(".")[0] == "bench"]:
             del kernels._folders[known]
         importlib.invalidate_caches()
 
-    def load(name: str) -> ModuleType:
+    def load(name):
         forget()
         return importlib.import_module(f"bench.{name}")
 
@@ -59,7 +57,7 @@ def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[
     forget()
 
 
-def edit(tmp_path: Path, name: str, old: str, new: str) -> None:
+def edit(tmp_path, name, old, new):
     path = tmp_path / "bench" / name
     text = path.read_text()
     assert old in text
@@ -77,9 +75,7 @@ def edit(tmp_path: Path, name: str, old: str, new: str) -> None:
         ("alone.py", "return x", "return -x", {"alone"}),
     ],
 )
-def test_an_edit_reaches_the_kernels_that_take_from_the_file(
-    tmp_path: Path, bench: Callable[[str], ModuleType], name: str, old: str, new: str, changed: set[str]
-) -> None:
+def test_an_edit_reaches_the_kernels_that_take_from_the_file(tmp_path, bench, name, old, new, changed):
     modules = ["shared", "user", "third", "alone"]
     before = {module: kernels.stamp(vars(bench(module))) for module in modules}
     assert before == {module: kernels.stamp(vars(bench(module))) for module in modules}
@@ -88,10 +84,8 @@ def test_an_edit_reaches_the_kernels_that_take_from_the_file(
     assert {module for module in modules if before[module] != after[module]} == changed
 
 
-def test_an_edit_of_a_shared_kernel_gives_another_folder_and_new_numbers(
-    tmp_path: Path, bench: Callable[[str], ModuleType]
-) -> None:
-    def user_folders() -> set[str]:
+def test_an_edit_of_a_shared_kernel_gives_another_folder_and_new_numbers(tmp_path, bench):
+    def user_folders():
         return {folder.name for folder in (tmp_path / "cache/thalweg/kernels").glob("bench.user-*")}
 
     assert bench("user").f(1.0) == 2.0 * 2.0 + 1.0
@@ -106,9 +100,7 @@ def test_an_edit_of_a_shared_kernel_gives_another_folder_and_new_numbers(
     assert len(user_folders()) == 2
 
 
-def test_folders_that_are_not_used_for_long_are_removed(
-    tmp_path: Path, bench: Callable[[str], ModuleType]
-) -> None:
+def test_folders_that_are_not_used_for_long_are_removed(tmp_path, bench):
     base = tmp_path / "cache/thalweg/kernels"
     for name, days in (("thalweg.old-0", 31), ("thalweg.new-0", 29)):
         (base / name).mkdir(parents=True)
@@ -117,9 +109,7 @@ def test_folders_that_are_not_used_for_long_are_removed(
     assert {folder.name.split("-")[0] for folder in base.iterdir()} == {"thalweg.new", "bench.alone"}
 
 
-def test_where_no_cache_can_be_written_machine_code_stands_beside_the_module(
-    tmp_path: Path, bench: Callable[[str], ModuleType], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_where_no_cache_can_be_written_machine_code_stands_beside_the_module(tmp_path, bench, monkeypatch):
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
     assert bench("alone").h(3) == 3
@@ -128,12 +118,8 @@ def test_where_no_cache_can_be_written_machine_code_stands_beside_the_module(
 
 @pytest.mark.parametrize("mode", [0o777, 0o1777])
 def test_machine_code_is_not_taken_from_where_others_may_put_theirs(
-    tmp_path: Path,
-    bench: Callable[[str], ModuleType],
-    monkeypatch: pytest.MonkeyPatch,
-    caplog: pytest.LogCaptureFixture,
-    mode: int,
-) -> None:
+    tmp_path, bench, monkeypatch, caplog, mode
+):
     monkeypatch.setattr(kernels.numba.config, "CACHE_DIR", "")
     kernels._tell_shared.cache_clear()
     shared = tmp_path / "cache/thalweg/kernels"
@@ -149,7 +135,7 @@ def test_machine_code_is_not_taken_from_where_others_may_put_theirs(
     assert len(list(shared.glob("bench.alone-*/*.nbi"))) == 1
 
 
-def test_whose_folder_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_whose_folder_it_is(tmp_path, monkeypatch):
     (tmp_path / "sticky").mkdir()
     (tmp_path / "sticky").chmod(0o1777)
     (tmp_path / "open").mkdir()
@@ -172,7 +158,7 @@ def test_whose_folder_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
         assert others_may_write(tmp_path / "own")
 
 
-def test_all_modules_take_numba_from_one_place(repository: Path) -> None:
+def test_all_modules_take_numba_from_one_place(repository):
     taken = re.compile(
         r"^\s*(from numba\b|import numba\b.*\bas\b)|THREADING_LAYER|NUMBA_CACHE_DIR", re.MULTILINE
     )

@@ -4,13 +4,11 @@ import json
 import os
 import shutil
 import subprocess
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 import trimesh
+from numpy.testing import assert_allclose, assert_array_equal
 from plyfile import PlyData
 
 from thalweg.core import InputError, LocalFrame
@@ -22,7 +20,7 @@ FACTS = {"notes": ["Ufer am „Mühlgraben“ " * 80], "counts": {"given": 7}}
 
 
 @pytest.fixture
-def mesh(rng: np.random.Generator) -> TriangleMesh:
+def mesh(rng):
     """A rough patch of 9 x 12 vertices at places that float32 cannot hold."""
     i, j = np.meshgrid(np.arange(9), np.arange(12), indexing="ij")
     v = np.stack([i * 0.1 + 812.3, j * 0.1 - 95.7, rng.normal(0, 0.02, i.shape)], axis=-1).reshape(-1, 3)
@@ -32,38 +30,38 @@ def mesh(rng: np.random.Generator) -> TriangleMesh:
 
 
 @pytest.fixture
-def path(mesh: TriangleMesh, tmp_path: Path) -> Path:
+def path(mesh, tmp_path):
     write_mesh(tmp_path / "mesh.ply", mesh, FRAME, FACTS)
     return tmp_path / "mesh.ply"
 
 
-def test_a_mesh_comes_back(mesh: TriangleMesh, path: Path) -> None:
+def test_a_mesh_comes_back(mesh, path):
     back, frame, facts = read_mesh(path)
-    np.testing.assert_array_equal(back.vertices_m, mesh.vertices_m)
-    np.testing.assert_array_equal(back.faces, mesh.faces)
-    np.testing.assert_array_equal(back.sigma_m, mesh.sigma_m.astype(np.float32))
+    assert_array_equal(back.vertices_m, mesh.vertices_m)
+    assert_array_equal(back.faces, mesh.faces)
+    assert_array_equal(back.sigma_m, mesh.sigma_m.astype(np.float32))
     assert (frame, facts) == (FRAME, FACTS)
     assert not list(path.parent.glob(".*"))
 
 
-def test_the_same_mesh_gives_the_same_bytes(mesh: TriangleMesh, path: Path) -> None:
+def test_the_same_mesh_gives_the_same_bytes(mesh, path):
     write_mesh(path.with_name("again.ply"), mesh, FRAME, FACTS)
     assert path.with_name("again.ply").read_bytes() == path.read_bytes()
 
 
-def test_plyfile_and_trimesh_and_open3d_open_it(mesh: TriangleMesh, path: Path) -> None:
+def test_plyfile_and_trimesh_and_open3d_open_it(mesh, path):
     data = PlyData.read(str(path))
-    np.testing.assert_array_equal(data["face"]["border"].astype(bool), mesh.border_faces())
+    assert_array_equal(data["face"]["border"].astype(bool), mesh.border_faces())
     assert 0 < mesh.border_faces().sum() < len(mesh.faces)
     other = trimesh.load_mesh(path, process=False)
-    np.testing.assert_array_equal(other.faces, mesh.faces)
-    np.testing.assert_array_equal(other.vertices, mesh.vertices_m)
+    assert_array_equal(other.faces, mesh.faces)
+    assert_array_equal(other.vertices, mesh.vertices_m)
     third = _open3d().io.read_triangle_mesh(str(path))
-    np.testing.assert_array_equal(np.asarray(third.triangles), mesh.faces)
-    np.testing.assert_array_equal(np.asarray(third.vertices), mesh.vertices_m)
+    assert_array_equal(np.asarray(third.triangles), mesh.faces)
+    assert_array_equal(np.asarray(third.vertices), mesh.vertices_m)
 
 
-def test_cloudcompare_opens_it(mesh: TriangleMesh, path: Path) -> None:
+def test_cloudcompare_opens_it(mesh, path):
     program = shutil.which("CloudCompare")
     if program is None:
         pytest.skip("CloudCompare is not installed")
@@ -92,10 +90,10 @@ def test_cloudcompare_opens_it(mesh: TriangleMesh, path: Path) -> None:
     )
     assert (path.parent / "out.ply").is_file(), run.stdout[-2000:]
     back = PlyData.read(str(path.parent / "out.ply"))
-    np.testing.assert_array_equal(np.stack(back["face"]["vertex_indices"]), mesh.faces)
+    assert_array_equal(np.stack(back["face"]["vertex_indices"]), mesh.faces)
     # CloudCompare 2.11 keeps float32: 800 m x 2^-24
     for axis, name in enumerate("xyz"):
-        np.testing.assert_allclose(back["vertex"][name], mesh.vertices_m[:, axis], atol=5e-5)
+        assert_allclose(back["vertex"][name], mesh.vertices_m[:, axis], atol=5e-5)
     with pytest.raises(InputError, match="another program"):
         read_mesh(path.parent / "out.ply")
 
@@ -121,7 +119,7 @@ def test_cloudcompare_opens_it(mesh: TriangleMesh, path: Path) -> None:
         (lambda b: b[:-14] + b"\x04" + b[-13:], "no triangles"),
     ],
 )
-def test_damaged_files_are_told(path: Path, change: Callable[[bytes], bytes], answer: str) -> None:
+def test_damaged_files_are_told(path, change, answer):
     data = path.read_bytes()
     assert change(data) != data
     path.write_bytes(change(data))
@@ -130,7 +128,7 @@ def test_damaged_files_are_told(path: Path, change: Callable[[bytes], bytes], an
     assert str(path) in str(error.value)
 
 
-def test_corners_that_do_not_exist_are_told(mesh: TriangleMesh, path: Path) -> None:
+def test_corners_that_do_not_exist_are_told(mesh, path):
     data = bytearray(path.read_bytes())
     data[-5:-1] = np.int32(100_000).tobytes()
     path.write_bytes(data)
@@ -138,12 +136,12 @@ def test_corners_that_do_not_exist_are_told(mesh: TriangleMesh, path: Path) -> N
         read_mesh(path)
 
 
-def test_no_file_is_told(tmp_path: Path) -> None:
+def test_no_file_is_told(tmp_path):
     with pytest.raises(InputError, match="file not found"):
         read_mesh(tmp_path / "none.ply")
 
 
-def test_fuzz(path: Path, fuzz: Any) -> None:
+def test_fuzz(path, fuzz):
     data, intact = path.read_bytes(), read_mesh(path)[0]
     head = data.index(b"end_header")
     for damaged in fuzz.inputs(data, head=head, longest=40):
@@ -159,7 +157,7 @@ def test_fuzz(path: Path, fuzz: Any) -> None:
     assert np.array_equal(read_mesh(path)[0].vertices_m, intact.vertices_m)
 
 
-def test_facts_are_plain_json(path: Path) -> None:
+def test_facts_are_plain_json(path):
     text = path.read_bytes().split(b"end_header")[0].decode("ascii")
     lines = [line for line in text.splitlines() if line.startswith("comment thalweg ")]
     assert max(map(len, text.splitlines())) < 256  # rply's longest word

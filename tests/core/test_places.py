@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from pyproj import CRS, Transformer
 
 from thalweg.core import GeometryError, InputError, LocalFrame
@@ -30,7 +31,7 @@ WORLD, GEODETIC, MAP = ("east_m", "north_m", "up_m"), ("lat_deg", "lon_deg", "h_
 # ---------------------------------------------------------------- units
 
 
-def test_units_by_word_letter_code_and_crs() -> None:
+def test_units_by_word_letter_code_and_crs():
     assert [unit_of_word(w).metres for w in ("m", "CM", "ft", "(feet)", "fathoms", "mm")] == [
         1.0, 0.01, 0.3048, 0.3048, 1.8288, 0.001,
     ]  # fmt: skip
@@ -54,13 +55,13 @@ def test_units_by_word_letter_code_and_crs() -> None:
         ("us_ft", 1200 / 3937), ("fathom", 1.8288), ("inches", 0.0254), ("yds", 0.9144),
     ],
 )  # fmt: skip
-def test_every_unit_by_hand(word: str, metres: float) -> None:
+def test_every_unit_by_hand(word, metres):
     unit = unit_of_word(word)
     assert unit.metres == pytest.approx(metres, rel=1e-14)
     assert unit.is_metre == (word == "m")
 
 
-def test_units_have_names() -> None:
+def test_units_have_names():
     assert [u.plural for u in (METRE, FOOT, US_SURVEY_FOOT)] == ["metres", "feet", "US survey feet"]
     assert unit_of_code(9001) == METRE
     chain = unit_of_code(9033)  # that no word of ours has
@@ -84,12 +85,12 @@ READINGS = {
 
 
 @pytest.mark.parametrize("words", READINGS)
-def test_the_reading_that_would_fit_is_named(words: str) -> None:
+def test_the_reading_that_would_fit_is_named(words):
     with pytest.raises(InputError, match=f"{words} would fit"):
         check_places(READINGS[words], UTM, where="a.csv", cure="--crs")
 
 
-def test_places_that_can_be_meant_are_said() -> None:
+def test_places_that_can_be_meant_are_said():
     assert check_places(PLACES, UTM, where="a.csv") == "places about 50.9958 N, 13.7464 E"
     # all of Germany is published in zone 32
     assert "N, 13." in check_places(PLACES + np.array([420_000.0, 5_000.0]), CRS("EPSG:25832"), where="a.csv")
@@ -101,7 +102,7 @@ def test_places_that_can_be_meant_are_said() -> None:
         check_places(PLACES, CRS("EPSG:22175"), where="a.csv")
 
 
-def test_places_in_words_and_their_zone() -> None:
+def test_places_in_words_and_their_zone():
     assert in_words(13.75, 51.05) == "51.0500 N, 13.7500 E"
     assert in_words(-70.5, -33.25) == "33.2500 S, 70.5000 W"
     assert in_words(0.0, 0.0) == "0.0000 N, 0.0000 E"
@@ -111,7 +112,7 @@ def test_places_in_words_and_their_zone() -> None:
         utm_of(np.array([10.0]), np.array([87.0]))
 
 
-def test_limits_of_places() -> None:
+def test_limits_of_places():
     """Both sides of each: a survey's width, its zone, degrees that may be metres, heights of ground."""
     line = PLACES[0] + np.array([[0.0, 0.0], [0.0, 0.0], [0.0, 199_000.0]])
     check_places(line, UTM, where="a")
@@ -145,7 +146,7 @@ def test_limits_of_places() -> None:
             check_degrees(np.array(xy), where="a", cure="b")
 
 
-def test_coordinates_in_three_forms_are_the_same_place() -> None:
+def test_coordinates_in_three_forms_are_the_same_place():
     geodetic = np.array([[51.001, 13.752, 160.0]])
     world = FRAME.from_geodetic(*geodetic.T)
     east, north = Transformer.from_crs(4326, 25833).transform(51.001, 13.752)
@@ -156,15 +157,15 @@ def test_coordinates_in_three_forms_are_the_same_place() -> None:
         (geodetic[:, [1, 0, 2]], MAP, CRS("EPSG:4979")),
         (grid, MAP, utm),
     ):
-        np.testing.assert_allclose(world_of(values, form, crs, FRAME), world, atol=1e-6)
-        np.testing.assert_allclose(near_world(values, form, crs, FRAME, "a"), world, atol=1e-6)
+        assert_allclose(world_of(values, form, crs, FRAME), world, atol=1e-6)
+        assert_allclose(near_world(values, form, crs, FRAME, "a"), world, atol=1e-6)
     for lat, lon in ((90.1, 13.0), (-90.1, 13.0), (51.0, 360.1), (51.0, -360.1)):
         wrong = np.array([geodetic[0], [lat, lon, 0.0]])
         with pytest.raises(GeometryError, match="expected degrees"):
             world_of(wrong, GEODETIC, None, FRAME)
 
 
-def _earth() -> np.ndarray:
+def _earth():
     return np.column_stack(Transformer.from_crs(4979, 4978).transform([51.001], [13.752], [160.0]))
 
 
@@ -184,9 +185,7 @@ def _earth() -> np.ndarray:
         ([[100, 200, 3]], MAP, 25833, "coordinates of the world frame", "east_m, north_m, up_m"),
     ],
 )  # fmt: skip
-def test_points_far_from_the_campaign_are_refused_with_the_reading_that_fits(
-    values: list, form: tuple, crs: int | None, words: str, cure: str
-) -> None:
+def test_points_far_from_the_campaign_are_refused_with_the_reading_that_fits(values, form, crs, words, cure):
     with pytest.raises(GeometryError) as caught:
         near_world(np.array(values, float), form, crs and CRS.from_epsg(crs), FRAME, "marks.csv")
     assert f"{words} would fit" in str(caught.value)
@@ -194,7 +193,7 @@ def test_points_far_from_the_campaign_are_refused_with_the_reading_that_fits(
     assert str(caught.value).startswith("marks.csv: control points about ")
 
 
-def test_points_far_from_the_campaign_that_fit_no_reading() -> None:
+def test_points_far_from_the_campaign_that_fit_no_reading():
     """Within 10 km they are taken; beyond as they are, unless there is a limit; strays are told apart."""
     near = np.array([[9_900.0, 0.0, 0.0]])
     assert near_world(near, WORLD, None, FRAME, "a") is near
@@ -205,7 +204,7 @@ def test_points_far_from_the_campaign_that_fit_no_reading() -> None:
     utm, far = CRS("EPSG:25833"), np.array([[412_300.0, 5_762_000.0, 150.0]])
     away = near_world(far, MAP, utm, FRAME, "a")
     assert np.linalg.norm(away) == pytest.approx(111_000.0, rel=0.01)
-    np.testing.assert_array_equal(near_world(far, MAP, utm, FRAME, "a", farthest_m=113e3), away)
+    assert_array_equal(near_world(far, MAP, utm, FRAME, "a", farthest_m=113e3), away)
     with pytest.raises(GeometryError, match=r"marks about .*: 111 km from campaign\.origin; .*\. Look"):
         near_world(far, MAP, utm, FRAME, "a", what="marks", farthest_m=109e3, cure="Look")
     stray = np.array([[51.0, 13.75, 150.0], [51.0, 13.75, 150.0], [95.0, 13.75, 150.0]])

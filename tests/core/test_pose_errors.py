@@ -1,7 +1,6 @@
 """Chains of errors of poses: interpolation, thinning, what lies between the nodes, files."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -23,7 +22,7 @@ from thalweg.core import (
 T0 = 1e9
 
 
-def random_walk(m: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def random_walk(m, rng):
     """Covariance (m, 7, m, 7) of m states of a chain of seven, each with the one before, and their own."""
     root = rng.standard_normal((m, 7, 7))
     full = np.zeros((m, 7, m, 7))
@@ -40,9 +39,7 @@ def random_walk(m: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarra
 
 
 @pytest.mark.parametrize("at_once", [2000, 4])
-def test_a_thinned_chain_keeps_the_covariance_of_any_two_nodes(
-    at_once: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_thinned_chain_keeps_the_covariance_of_any_two_nodes(at_once, monkeypatch):
     monkeypatch.setattr("thalweg.core.pose_errors._AT_ONCE", at_once)
     rng = np.random.default_rng(1)
     full, own, following = random_walk(12, rng)
@@ -60,7 +57,7 @@ def test_a_thinned_chain_keeps_the_covariance_of_any_two_nodes(
             assert found == pytest.approx(expected, rel=1e-6, abs=1e-9 * np.abs(full).max())
 
 
-def test_between_two_nodes_errors_are_interpolated_and_outside_they_stay() -> None:
+def test_between_two_nodes_errors_are_interpolated_and_outside_they_stay():
     rng = np.random.default_rng(2)
     root = rng.standard_normal((2, 6, 6))
     link = np.zeros((2, 6, 6))
@@ -75,7 +72,7 @@ def test_between_two_nodes_errors_are_interpolated_and_outside_they_stay() -> No
     assert found[2] == pytest.approx(root[1] @ root[1].T)
 
 
-def a_trajectory(cov: np.ndarray) -> Trajectory:
+def a_trajectory(cov):
     """Ten seconds at 20 Hz, turning; covariances (201, 6, 6)."""
     t = T0 + np.linspace(0.0, 10.0, 201)
     return Trajectory(
@@ -88,7 +85,7 @@ def a_trajectory(cov: np.ndarray) -> Trajectory:
     )
 
 
-def test_the_rest_is_what_grows_and_shrinks_between_fixed_times() -> None:
+def test_the_rest_is_what_grows_and_shrinks_between_fixed_times():
     """Known at every second, and a Brownian bridge of 0.01 m^2/s between."""
     since = np.linspace(0.0, 10.0, 201) % 1.0
     cov = np.tile(np.diag([4e-4, 4e-4, 4e-4, 1e-6, 1e-6, 1e-6]), (201, 1, 1))
@@ -118,7 +115,7 @@ def test_the_rest_is_what_grows_and_shrinks_between_fixed_times() -> None:
     assert with_rest(a_trajectory(np.tile(cov[0], (201, 1, 1))), [known], t, step_s=0.05) == [known]
 
 
-def test_roots_of_mixed_units_have_their_covariance_and_keep_to_their_axes() -> None:
+def test_roots_of_mixed_units_have_their_covariance_and_keep_to_their_axes():
     rng = np.random.default_rng(3)
     R = Rotation.from_euler("z", np.linspace(0.0, 360.0, 50)[:, None], degrees=True).as_matrix()
     axes = np.zeros((50, 6, 6))
@@ -136,7 +133,7 @@ def test_roots_of_mixed_units_have_their_covariance_and_keep_to_their_axes() -> 
     assert finer == pytest.approx(unit[:, None] * root, rel=1e-6, abs=1e-9)
 
 
-def test_chains_are_read_as_they_were_written(tmp_path: Path) -> None:
+def test_chains_are_read_as_they_were_written(tmp_path):
     rng = np.random.default_rng(4)
     chains = [
         ErrorChain(
@@ -157,7 +154,7 @@ def test_chains_are_read_as_they_were_written(tmp_path: Path) -> None:
         read_chains(tmp_path / "other.npz")
 
 
-def test_chains_that_are_none_are_refused() -> None:
+def test_chains_that_are_none_are_refused():
     with pytest.raises(GeometryError, match="times that go back"):
         ErrorChain(name="x", t_gps_s=np.array([1.0, 0.0]), root=np.zeros((2, 6, 1)), link=np.zeros((2, 1, 1)))
     with pytest.raises(GeometryError, match=r"2 times, roots \(1, 6, 1\)"):
@@ -165,7 +162,7 @@ def test_chains_that_are_none_are_refused() -> None:
 
 
 @pytest.mark.parametrize("smooth", [False, True])
-def test_means_of_heights_keep_their_variance_in_even_time(smooth: bool) -> None:
+def test_means_of_heights_keep_their_variance_in_even_time(smooth):
     """A height error that is new at a rate, or follows a velocity that is; exact sums by the whole matrix."""
     t = T0 + np.arange(0.0, 300.0, 0.5)
     if smooth:
@@ -192,7 +189,7 @@ def test_means_of_heights_keep_their_variance_in_even_time(smooth: bool) -> None
 
 
 @pytest.mark.parametrize("sigma_m", [0.03, 1.0, 20.0])
-def test_even_time_runs_by_the_rate_at_which_errors_are_forgotten(sigma_m: float) -> None:
+def test_even_time_runs_by_the_rate_at_which_errors_are_forgotten(sigma_m):
     """Forgotten in 3 s at first and in 12 s later: four times as fast, however large the errors are."""
     t = np.arange(0.0, 120.5, 0.5)
     keep = np.exp(-0.5 / np.where(t <= 60.0, 3.0, 12.0))
@@ -209,7 +206,7 @@ def test_even_time_runs_by_the_rate_at_which_errors_are_forgotten(sigma_m: float
     assert (even[0], even[-1]) == pytest.approx((0.0, 120.0))
 
 
-def test_errors_that_never_end_or_are_forgotten_at_once_have_the_limits_of_the_search() -> None:
+def test_errors_that_never_end_or_are_forgotten_at_once_have_the_limits_of_the_search():
     """A thousandth of the survey and a thousand surveys, where the sum over it tells no time."""
     t = np.arange(0.0, 100.5, 0.5)
     root = np.tile(0.02 * np.eye(6), (len(t), 1, 1))
@@ -223,7 +220,7 @@ def test_errors_that_never_end_or_are_forgotten_at_once_have_the_limits_of_the_s
     assert time_s[1] > 1e4
 
 
-def test_chains_with_links_in_all_directions_by_hand() -> None:
+def test_chains_with_links_in_all_directions_by_hand():
     """Two components that turn into each other: the later error is ``link`` times the earlier one."""
     rng = np.random.default_rng(8)
     root, link = rng.standard_normal((4, 6, 2)), 0.5 * rng.standard_normal((4, 2, 2))

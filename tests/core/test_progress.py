@@ -6,7 +6,7 @@ import thalweg.core.errors as progress
 from thalweg.core import steps
 
 
-def test_a_long_loop_says_how_far_it_is_and_a_short_one_nothing(caplog, monkeypatch) -> None:
+def test_a_long_loop_says_how_far_it_is_and_a_short_one_nothing(caplog, monkeypatch):
     now = [0.0]
     monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
     with caplog.at_level(logging.INFO):

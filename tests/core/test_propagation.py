@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from thalweg.core import (
@@ -16,7 +17,7 @@ from thalweg.core import (
 )
 
 
-def three_links(rng: np.random.Generator, n: int) -> list[Link]:
+def three_links(rng, n):
     """The outer two with a pose for each point."""
     return [
         Link(rotation=Rotation.random(n, rng=rng).as_matrix(), shift_m=rng.normal(size=(n, 3))),
@@ -25,7 +26,7 @@ def three_links(rng: np.random.Generator, n: int) -> list[Link]:
     ]
 
 
-def moved(links: list[Link], x: np.ndarray, errors: np.ndarray, dx: np.ndarray) -> np.ndarray:
+def moved(links, x, errors, dx):
     """Points with finite errors (k, 6) of the links and dx of the point: the chain, written once more."""
     x = x + dx
     for link, e in zip(reversed(links), errors[::-1], strict=True):
@@ -34,11 +35,11 @@ def moved(links: list[Link], x: np.ndarray, errors: np.ndarray, dx: np.ndarray) 
     return x
 
 
-def test_each_derivative_by_differences(rng: np.random.Generator) -> None:
+def test_each_derivative_by_differences(rng):
     links, x = three_links(rng, 40), rng.normal(scale=20.0, size=(40, 3))
     chain = chain_derivatives(links, x)
     none = np.zeros((3, 6)), np.zeros(3)
-    np.testing.assert_allclose(chain.points_m, moved(links, x, *none), atol=1e-12)
+    assert_allclose(chain.points_m, moved(links, x, *none), atol=1e-12)
     step = 1e-5
     for i in range(3):
         for k in range(6):
@@ -46,14 +47,14 @@ def test_each_derivative_by_differences(rng: np.random.Generator) -> None:
             e[i, k] = step
             numeric = (moved(links, x, e, none[1]) - moved(links, x, -e, none[1])) / (2 * step)
             # central difference: step^2 / 6 * 50 m = 1e-9, rounding 1e-14 / step
-            np.testing.assert_allclose(chain.by_link[i][:, :, k], numeric, atol=1e-7)
+            assert_allclose(chain.by_link[i][:, :, k], numeric, atol=1e-7)
     for k in range(3):
         e = step * np.eye(3)[k]
         numeric = (moved(links, x, none[0], e) - moved(links, x, none[0], -e)) / (2 * step)
-        np.testing.assert_allclose(chain.by_point[:, :, k], numeric, atol=1e-7)
+        assert_allclose(chain.by_point[:, :, k], numeric, atol=1e-7)
 
 
-def test_covariance_agrees_with_draws_through_the_chain(rng: np.random.Generator) -> None:
+def test_covariance_agrees_with_draws_through_the_chain(rng):
     links, x = three_links(rng, 1), np.array([[8.0, -3.0, 5.0]])
     chain = chain_derivatives(links, x)
     J = np.concatenate([*chain.by_link, chain.by_point], axis=2)
@@ -68,10 +69,10 @@ def test_covariance_agrees_with_draws_through_the_chain(rng: np.random.Generator
         many = many + draws[:, 6 * k : 6 * k + 3]
     scale = np.sqrt(np.outer(np.diag(predicted), np.diag(predicted)))
     # relative standard error of a variance from n draws: sqrt(2 / n) = 0.7 %; five of them
-    np.testing.assert_allclose(np.cov(many.T) / scale, predicted / scale, atol=0.035)
+    assert_allclose(np.cov(many.T) / scale, predicted / scale, atol=0.035)
 
 
-def test_small_changes_of_angles_are_rotation_vectors(rng: np.random.Generator) -> None:
+def test_small_changes_of_angles_are_rotation_vectors(rng):
     angles = rng.uniform(-3, 3, size=(50, 3))
     axes = opk_axes(angles[:, 0], angles[:, 1])
     assert axes.shape == (50, 3, 3)
@@ -81,18 +82,16 @@ def test_small_changes_of_angles_are_rotation_vectors(rng: np.random.Generator) 
         for a, A in zip(angles, axes, strict=True):
             skew = (rotation_opk(*(a + e)) - rotation_opk(*(a - e))) / (2 * step) @ rotation_opk(*a).T
             # rounding: 1e-16 / step
-            np.testing.assert_allclose([skew[2, 1], skew[0, 2], skew[1, 0]], A[:, k], atol=1e-9)
+            assert_allclose([skew[2, 1], skew[0, 2], skew[1, 0]], A[:, k], atol=1e-9)
 
 
-def test_axes_of_a_beam(rng: np.random.Generator) -> None:
+def test_axes_of_a_beam(rng):
     beams = np.concatenate([rng.normal(size=(100, 3)), np.eye(3), -np.eye(3)])
     axes = beam_axes(beams)
-    np.testing.assert_allclose(axes @ np.swapaxes(axes, 1, 2), np.tile(np.eye(3), (106, 1, 1)), atol=1e-14)
-    np.testing.assert_allclose(np.linalg.det(axes), 1.0, atol=1e-14)
-    np.testing.assert_allclose(np.cross(axes[:, :, 0], beams), 0.0, atol=1e-14)
-    np.testing.assert_allclose(
-        cross_matrix(beams[:1])[0] @ beams[1], np.cross(beams[0], beams[1]), atol=1e-15
-    )
+    assert_allclose(axes @ np.swapaxes(axes, 1, 2), np.tile(np.eye(3), (106, 1, 1)), atol=1e-14)
+    assert_allclose(np.linalg.det(axes), 1.0, atol=1e-14)
+    assert_allclose(np.cross(axes[:, :, 0], beams), 0.0, atol=1e-14)
+    assert_allclose(cross_matrix(beams[:1])[0] @ beams[1], np.cross(beams[0], beams[1]), atol=1e-15)
 
 
 @pytest.mark.parametrize(
@@ -104,6 +103,6 @@ def test_axes_of_a_beam(rng: np.random.Generator) -> None:
         ([Link(rotation=np.eye(3), shift_m=np.zeros((5, 3)))], np.ones((2, 3))),
     ],
 )
-def test_shapes_that_do_not_match(links: list[Link], points: np.ndarray) -> None:
+def test_shapes_that_do_not_match(links, points):
     with pytest.raises(GeometryError, match="expected"):
         chain_derivatives(links, points)

@@ -1,7 +1,5 @@
 """Tables: units in the schema, and messages where kind, version or columns are wrong."""
 
-from pathlib import Path
-
 import numpy as np
 import pandas as pd
 import pyarrow as pa
@@ -23,11 +21,11 @@ KIND = table_kind(
 )
 
 
-def frame() -> pd.DataFrame:
+def frame():
     return pd.DataFrame({"n": [1, 2], "fix": ["a", "b"], "t_gps_s": [0.5, np.nan]})
 
 
-def test_round_trip(tmp_path: Path) -> None:
+def test_round_trip(tmp_path):
     path = tmp_path / "deep" / "a.parquet"
     write_table(path, frame(), KIND, {"origin": [1.5, 2.5]})
     found, meta = read_table(path, KIND)
@@ -37,7 +35,7 @@ def test_round_trip(tmp_path: Path) -> None:
     assert found["n"].dtype == np.int32
 
 
-def test_units_and_meanings_stand_in_the_file(tmp_path: Path) -> None:
+def test_units_and_meanings_stand_in_the_file(tmp_path):
     write_table(tmp_path / "a.parquet", frame(), KIND)
     schema = pq.read_schema(tmp_path / "a.parquet")
     assert kind_of(schema) == ("demo", 2)
@@ -48,7 +46,7 @@ def test_units_and_meanings_stand_in_the_file(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("kind", [k for k in vars(schemas).values() if isinstance(k, pa.Schema)])
-def test_every_reader_table_says_its_units(kind: pa.Schema) -> None:
+def test_every_reader_table_says_its_units(kind):
     name, version = kind_of(kind)
     assert name
     assert version >= 1
@@ -70,14 +68,14 @@ def test_every_reader_table_says_its_units(kind: pa.Schema) -> None:
         (frame().assign(n=[1.5, 2.5]), "a column does not fit table kind 'demo'"),
     ],
 )
-def test_refused_on_writing(tmp_path: Path, data: pd.DataFrame, fragment: str) -> None:
+def test_refused_on_writing(tmp_path, data, fragment):
     with pytest.raises(InputError, match=fragment) as caught:
         write_table(tmp_path / "a.parquet", data, KIND)
     assert "a.parquet" in str(caught.value)
     assert not (tmp_path / "a.parquet").exists()
 
 
-def test_refused_on_reading(tmp_path: Path) -> None:
+def test_refused_on_reading(tmp_path):
     path = tmp_path / "a.parquet"
     with pytest.raises(InputError, match="file not found"):
         read_table(path, KIND)
@@ -99,7 +97,7 @@ def test_refused_on_reading(tmp_path: Path) -> None:
         read_table(path, KIND)
 
 
-def test_frame_of_gives_order_and_types_of_the_kind(tmp_path: Path) -> None:
+def test_frame_of_gives_order_and_types_of_the_kind(tmp_path):
     values = {"fix": np.array(["a", "b"], dtype=object), "n": [1.0, 2.0], "t_gps_s": [1, 2], "more": [0, 0]}
     found = frame_of(KIND, values)
     assert list(found.columns) == ["t_gps_s", "n", "fix"]
@@ -107,7 +105,7 @@ def test_frame_of_gives_order_and_types_of_the_kind(tmp_path: Path) -> None:
     write_table(tmp_path / "a.parquet", found, KIND)
 
 
-def test_frame_of_names_what_is_wrong() -> None:
+def test_frame_of_names_what_is_wrong():
     with pytest.raises(InputError, match=r"columns missing: \['n'\].*'demo'"):
         frame_of(KIND, {"fix": ["a"], "t_gps_s": [1.0]})
     with pytest.raises(InputError, match="column 'n' holds no int32"):

@@ -22,11 +22,11 @@ from thalweg.core import (
 from thalweg.core.timescales import LeapSecondWarning, week_from_gps
 
 
-def unix(date: str) -> float:
+def unix(date):
     return dt.datetime.fromisoformat(date).replace(tzinfo=dt.UTC).timestamp()
 
 
-def test_leap_table_grows_by_one() -> None:
+def test_leap_table_grows_by_one():
     dates = [date for date, _ in LEAP_TABLE]
     assert dates == sorted(dates)
     assert [value for _, value in LEAP_TABLE] == list(range(19))
@@ -35,7 +35,7 @@ def test_leap_table_grows_by_one() -> None:
 
 
 @pytest.mark.parametrize(("date", "value"), LEAP_TABLE[1:])
-def test_across_each_leap_second(date: str, value: int) -> None:
+def test_across_each_leap_second(date, value):
     after = unix(date)
     before = after - 1.0  # 23:59:59
     assert gps_minus_utc([before, after]).tolist() == [value - 1, value]
@@ -45,7 +45,7 @@ def test_across_each_leap_second(date: str, value: int) -> None:
         assert float(unix_from_gps(gps_from_unix(moment))) == moment
 
 
-def test_inside_the_leap_second_of_2016() -> None:
+def test_inside_the_leap_second_of_2016():
     """Unix time repeats: 23:59:60.4 UTC comes back as 00:00:00.4 less one second of GPS time."""
     t_0 = float(gps_from_unix(unix("2017-01-01")))
     assert t_0 == float(gps_from_week(1930, 18.0))
@@ -56,20 +56,20 @@ def test_inside_the_leap_second_of_2016() -> None:
 
 
 @given(st.floats(GPS_EPOCH_UNIX_S, 1_800_000_000))
-def test_round_trip(moment: float) -> None:
+def test_round_trip(moment):
     # two roundings in float64 at 1.8e9 s: 2 x 1.2e-7 s
     assert float(unix_from_gps(gps_from_unix(moment))) == pytest.approx(moment, rel=0, abs=3e-7)
 
 
 @given(st.integers(0, 4000), st.floats(0, 604_799.999))
-def test_week_round_trip(week: int, tow: float) -> None:
+def test_week_round_trip(week, tow):
     found_week, found_tow = week_from_gps(gps_from_week(week, tow))
     # float64 at 1.4e9 s: 1.2e-7 s
     assert float(found_week) == week
     assert float(found_tow) == pytest.approx(tow, rel=0, abs=2.5e-7)
 
 
-def test_known_instants() -> None:
+def test_known_instants():
     # GPS week 1948, second 499513.4 is 2017-05-12T18:44:55.4 UTC
     assert float(gps_from_unix(unix("2017-05-12T18:44:55"), 400_000)) == float(gps_from_week(1948, 499513.4))
     # LAS 1.4: adjusted standard time is 0 one thousand million seconds after the GPS epoch
@@ -77,24 +77,24 @@ def test_known_instants() -> None:
     assert float(gps_from_unix(GPS_EPOCH_UNIX_S)) == -1e9
 
 
-def test_microseconds_keep_their_digits() -> None:
+def test_microseconds_keep_their_digits():
     t = gps_from_unix(np.full(1000, unix("2023-05-05")), np.arange(1000))
     # 60 ns resolution: half a step
     np.testing.assert_allclose(np.diff(t), 1e-6, rtol=0, atol=6e-8)
 
 
-def test_nan_stays_nan() -> None:
+def test_nan_stays_nan():
     assert np.isnan(gps_from_unix([np.nan])).all()
     assert np.isnan(unix_from_gps([np.nan])).all()
     assert gps_minus_utc([np.nan, unix("2020-01-01")]).tolist()[1] == 18.0
 
 
-def test_before_the_epoch() -> None:
+def test_before_the_epoch():
     with pytest.raises(ClockError, match=r"1980-01-05T23:59:59\.000Z lies before the GPS epoch"):
         gps_from_unix(GPS_EPOCH_UNIX_S - 1.0)
 
 
-def test_expired_table_warns() -> None:
+def test_expired_table_warns():
     last = unix(LEAP_TABLE_VALID_UNTIL)
     with pytest.warns(LeapSecondWarning, match="Extend LEAP_TABLE"):
         gps_from_unix(last + 86400)
@@ -114,20 +114,20 @@ def test_expired_table_warns() -> None:
         (1e20, 3, "?"),
     ],
 )
-def test_text(moment: float, digits: int, text: str) -> None:
+def test_text(moment, digits, text):
     assert utc_text_from_unix(moment, digits) == text
 
 
-def test_text_of_gps_time() -> None:
+def test_text_of_gps_time():
     assert utc_text_from_gps(178649913.4) == "2017-05-12T18:44:55.400Z"
     assert utc_text_from_gps(float("nan")) == "?"
 
 
-def test_one_stamp_before_the_epoch_among_good_ones_is_refused() -> None:
+def test_one_stamp_before_the_epoch_among_good_ones_is_refused():
     with pytest.raises(ClockError, match="lies before the GPS epoch"):
         gps_minus_utc([unix("2020-01-01"), GPS_EPOCH_UNIX_S - 1.0, unix("2021-01-01")])
 
 
-def test_the_last_stamp_alone_may_outlive_the_table() -> None:
+def test_the_last_stamp_alone_may_outlive_the_table():
     with pytest.warns(LeapSecondWarning, match="Extend LEAP_TABLE"):
         gps_minus_utc([unix("2020-01-01"), unix(LEAP_TABLE_VALID_UNTIL) + 86400])

@@ -6,7 +6,7 @@ import pytest
 from thalweg.core.types import NMAD, robust_sigma, root_mean_square
 
 
-def test_sizes_of_errors() -> None:
+def test_sizes_of_errors():
     assert root_mean_square([3.0, -4.0, 0.0, 0.0]) == 2.5
     assert root_mean_square(np.array([[7.0], [-1.0]])) == 5.0
     assert abs(0.674489750 * NMAD - 1.0) < 1e-4

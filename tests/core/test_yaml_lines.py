@@ -115,35 +115,17 @@ def test_lines_of_nested_values(tmp_path):
     assert document.line(("q",)) == 2  # the first key of the file
 
 
-def test_yaml_scalars_of_version_1_2(tmp_path) -> None:
-    path = tmp_path / "a.yaml"
-    path.write_text("a: 1e-3\nb: no\nc: 010\nd: [1, 2.5, -.5]\ne: {f: null}\n")
-    data, lines = read_mapping(path)
-    assert data == {"a": 1e-3, "b": "no", "c": 10, "d": [1, 2.5, -0.5], "e": {"f": None}}
-    assert lines[("e", "f")] == 5
-
-
 @pytest.mark.parametrize(
     ("text", "answer"),
     [
         (b"a: 1\nb: 2\na: 3\n", "the key stands twice, in lines 1 and 3"),
-        (b"a: [1\n", "not valid YAML"),
-        (b"a: *b\n", "not valid YAML"),
         (b"\xff\xfe\x00", "is not UTF-8"),
-        (b"a: \x07\n", "not valid YAML"),
         (b"- 1\n", "holds a list"),
         (b"", "the file is empty"),
-        (
-            b"a: &x [1, 1, 1, 1, 1, 1, 1, 1]\n"
-            + b"b: &y [*x, *x, *x, *x, *x, *x, *x, *x]\n" * 1
-            + b"c: &z [*y, *y, *y, *y, *y, *y, *y, *y, *y]\nd: &u [*z, *z, *z, *z, *z, *z]\n"
-            + b"e: &v [*u, *u, *u, *u, *u, *u]\nf: [*v, *v, *v, *v]\n",
-            "more than 100,000 values",
-        ),
     ],
-    ids=["twice", "bracket", "alias", "bytes", "control", "list", "empty", "bomb"],
+    ids=["twice", "bytes", "list", "empty"],
 )
-def test_yaml_that_cannot_be_read(tmp_path, text: bytes, answer: str) -> None:
+def test_yaml_that_cannot_be_read(tmp_path, text, answer):
     path = tmp_path / "a.yaml"
     path.write_bytes(text)
     with pytest.raises(ConfigError, match=answer) as error:
@@ -151,14 +133,14 @@ def test_yaml_that_cannot_be_read(tmp_path, text: bytes, answer: str) -> None:
     assert "a.yaml" in str(error.value)
 
 
-def test_no_such_yaml(tmp_path) -> None:
+def test_no_such_yaml(tmp_path):
     with pytest.raises(ConfigError, match="no such file"):
         read_mapping(tmp_path / "none.yaml")
     with pytest.raises(ConfigError, match="folder"):
         read_mapping(tmp_path)
 
 
-def test_libyaml_and_python_read_every_file_of_the_repository_alike(repository) -> None:
+def test_libyaml_and_python_read_every_file_of_the_repository_alike(repository):
     texts = [
         p.read_text() for folder in ("config", "resources") for p in (repository / folder).rglob("*.yaml")
     ]
@@ -173,7 +155,7 @@ def test_libyaml_and_python_read_every_file_of_the_repository_alike(repository) 
 
 
 @pytest.mark.parametrize("text", ["a:\tb\n", "a: [1\n", "a: 1\na: 2\n", "a: *b\n"])
-def test_mistakes_are_told_in_the_words_of_pythons_parser(text: str) -> None:
+def test_mistakes_are_told_in_the_words_of_pythons_parser(text):
     mistakes = parse_yaml(text).mistakes
     assert mistakes == documents._parsed(text, documents._Loader).mistakes
     assert mistakes
@@ -202,7 +184,7 @@ class Boat(Part):
     alone: float = Field(default=0.0, description="a length in metres")
 
     @model_validator(mode="after")
-    def _other_names(self) -> "Boat":
+    def _other_names(self):
         refuse(
             [
                 wrong(f"two {s.kind}s", "one of each", "Leave one out", at=("sensors", k))
@@ -216,7 +198,7 @@ class Boat(Part):
 BOAT = "thalweg_boat: 1\nname: Elbe\nsensors:\n  - kind: lidar\n    title: a\n      b\n"
 
 
-def test_a_document_becomes_its_model() -> None:
+def test_a_document_becomes_its_model():
     found = checked(
         Boat, parse_yaml(BOAT + "alone: 2.5\nplaces:\n  bow: {kind: camera, rows: }\n"), what="boat"
     )
@@ -252,7 +234,7 @@ def test_a_document_becomes_its_model() -> None:
         ("name: [1\n", 2, ""),
     ],
 )  # fmt: skip
-def test_each_mistake_in_a_document_stands_at_its_line(text: str, line: int, words: str) -> None:
+def test_each_mistake_in_a_document_stands_at_its_line(text, line, words):
     document = parse_yaml(text)
     found, mistakes = validated(Boat, document, what="boat")
     assert found is None
@@ -264,7 +246,7 @@ def test_each_mistake_in_a_document_stands_at_its_line(text: str, line: int, wor
     assert str(caught.value).endswith(" Read on.")
 
 
-def test_all_mistakes_are_told_in_the_order_of_the_file() -> None:
+def test_all_mistakes_are_told_in_the_order_of_the_file():
     text = "thalweg_boat: 1\nname: 3\nsensors: [{kind: sonar}]\nlong: 2\n"
     with pytest.raises(ConfigError) as caught:
         checked(Boat, parse_yaml(text), what="boat")
@@ -283,5 +265,5 @@ def test_all_mistakes_are_told_in_the_order_of_the_file() -> None:
         ({"exclusiveMinimum": 0.25, "maximum": 3}, "a number above 0.25 up to 3"),
     ],
 )
-def test_limits_of_a_number_in_words(node: dict[str, object], words: str) -> None:
+def test_limits_of_a_number_in_words(node, words):
     assert number_in_words(node) == words

@@ -2,8 +2,6 @@
 
 import struct
 from functools import partial
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -49,16 +47,16 @@ MESSAGES = {
 WEEK, LAG_S = 2300, 0.2
 
 
-def packed(name: str, *values: object) -> bytes:
+def packed(name, *values):
     kind, form, _ = MESSAGES[name]
     raw = [
-        v.encode() if isinstance(v, str) else round(v / SCALES[c]) if c in SCALES else v  # type: ignore[operator]
+        v.encode() if isinstance(v, str) else round(v / SCALES[c]) if c in SCALES else v
         for c, v in zip(form, values, strict=True)
     ]
     return struct.pack("<BBB" + "".join(SIZES[c] for c in form), 0xA3, 0x95, kind, *raw)
 
 
-def heads() -> bytes:
+def heads():
     out = b""
     for name, (kind, form, columns) in {
         "FMT": (128, "BBnNZ", "Type,Length,Name,Format,Columns"),
@@ -71,7 +69,7 @@ def heads() -> bytes:
     return out
 
 
-def boat_log(*, und_m: float = 46.5, delay_ms: float = 0.0, depth: str = "DPTH", gps: bool = True) -> bytes:
+def boat_log(*, und_m=46.5, delay_ms=0.0, depth="DPTH", gps=True):
     """Two crossings of a river in 60 s at 10 Hz, 4 m deep; a receiver whose fixes come `LAG_S` late."""
     out = [
         heads(),
@@ -101,13 +99,13 @@ def boat_log(*, und_m: float = 46.5, delay_ms: float = 0.0, depth: str = "DPTH",
 
 
 @pytest.fixture
-def boat(tmp_path: Path) -> Path:
+def boat(tmp_path):
     path = tmp_path / "00000042.BIN"
     path.write_bytes(boat_log())
     return path
 
 
-def test_a_boat_has_attitude_place_depth_and_their_sigmas_on_gps_time(boat: Path) -> None:
+def test_a_boat_has_attitude_place_depth_and_their_sigmas_on_gps_time(boat):
     log = read_ardupilot([boat], TrackOptions())
     assert log.report.model == "ArduRover V4.5.1 (ab)"
     assert (len(log.states), len(log.positions), len(log.depths)) == (600, 300, 600)
@@ -136,7 +134,7 @@ def test_a_boat_has_attitude_place_depth_and_their_sigmas_on_gps_time(boat: Path
     assert fix.sigma_up_m == pytest.approx(0.03)
 
 
-def test_camera_triggers_are_times_of_photographs(boat: Path, tmp_path: Path) -> None:
+def test_camera_triggers_are_times_of_photographs(boat, tmp_path):
     """Three shots 2.5 s apart from second 60 of the boot; photographs go by their numbers."""
     boat.write_bytes(
         boat.read_bytes() + b"".join(packed("CAM", 60_000_000 + 2_500_000 * k, 0, k) for k in range(3))
@@ -156,7 +154,7 @@ def test_camera_triggers_are_times_of_photographs(boat: Path, tmp_path: Path) ->
         read_image_stamps(photos, times=boat)
 
 
-def test_a_stated_lag_counts(tmp_path: Path) -> None:
+def test_a_stated_lag_counts(tmp_path):
     path = tmp_path / "log.bin"
     path.write_bytes(boat_log(delay_ms=1e3 * LAG_S))
     log = read_ardupilot([path], TrackOptions())
@@ -164,14 +162,14 @@ def test_a_stated_lag_counts(tmp_path: Path) -> None:
     assert any("0.20 s late (stated)" in note for note in log.report.notes)
 
 
-def test_rangefinders_count_where_they_look_down_and_see_the_bottom(tmp_path: Path) -> None:
+def test_rangefinders_count_where_they_look_down_and_see_the_bottom(tmp_path):
     path = tmp_path / "log.bin"
     path.write_bytes(boat_log(depth="RFND"))
     depths = read_depths([path]).depths
     assert depths["depth_m"].value_counts().to_dict() == {4.0: 540, 0.0: 60}
 
 
-def test_without_undulation_there_is_no_ellipsoidal_height(tmp_path: Path) -> None:
+def test_without_undulation_there_is_no_ellipsoidal_height(tmp_path):
     path = tmp_path / "log.bin"
     path.write_bytes(boat_log(und_m=float("nan")))
     log = read_ardupilot([path], TrackOptions())
@@ -179,7 +177,7 @@ def test_without_undulation_there_is_no_ellipsoidal_height(tmp_path: Path) -> No
     assert any("above mean sea level" in note for note in log.report.notes)
 
 
-def test_damage_is_counted(boat: Path) -> None:
+def test_damage_is_counted(boat):
     data = boat.read_bytes()
     boat.write_bytes(data[:40_000] + b"\0" * 100 + data[40_000:-7])
     log = read_ardupilot([boat], TrackOptions())
@@ -187,7 +185,7 @@ def test_damage_is_counted(boat: Path) -> None:
     assert len(log.states) >= 598
 
 
-def test_a_log_without_gps_stays_on_the_clock_of_the_device(tmp_path: Path) -> None:
+def test_a_log_without_gps_stays_on_the_clock_of_the_device(tmp_path):
     path = tmp_path / "log.bin"
     path.write_bytes(boat_log(gps=False))
     report = describe(path)
@@ -195,7 +193,7 @@ def test_a_log_without_gps_stays_on_the_clock_of_the_device(tmp_path: Path) -> N
     assert any("No GPS time" in note for note in report.notes)
 
 
-def test_soundings_of_a_log_make_a_bed(boat: Path) -> None:
+def test_soundings_of_a_log_make_a_bed(boat):
     assert (recognise(boat), stream_of("dataflash", boat)) == ("dataflash", "ins")
     soundings = read_soundings(
         boat, None, column=None, depth=None, level_m=None, line_column=None, sigma_m=0.05
@@ -206,31 +204,31 @@ def test_soundings_of_a_log_make_a_bed(boat: Path) -> None:
     assert any("without a position at their time" in note for note in soundings.notes)
 
 
-def telemetry(
-    *, unix_s: float = 1.7e9, component: int = 1, system: int = 1, n: int = 100, ranges_cm: Any = (),
-    signed: bool = False,
-) -> bytes:  # fmt: skip
+def telemetry(*, unix_s=1.7e9, component=1, system=1, n=100, ranges_cm=(), signed=False, said=()):
+    """Five a second; of the eighth a receiver without heights and sigmas, of the ninth no place."""
     vehicle = mavlink.MAVLink(None, srcSystem=system, srcComponent=component)
     if signed:  # 13 bytes more behind each
         vehicle.signing.secret_key, vehicle.signing.sign_outgoing = bytes(32), True
     out = []
 
-    def say(message: mavlink.MAVLink_message, t_s: float) -> None:
+    def say(message, t_s):
         out.append(struct.pack(">Q", round(1e6 * (1.65e9 + t_s))) + message.pack(vehicle))
 
+    for text in said:
+        say(mavlink.MAVLink_statustext_message(6, text), 0.0)
     for k in range(n):
         boot_ms, t_s = 20_000 + 200 * k, 0.2 * k
         place = (round(1e7 * (51 + 2e-6 * k)), round(1e7 * (13 + 1e-6 * k)))
         say(mavlink.MAVLink_system_time_message(round(1e6 * (unix_s + t_s)) if unix_s else 0, boot_ms), t_s)
         say(mavlink.MAVLink_attitude_message(boot_ms, 0.01, -0.02, -1.0, 0.1, 0.2, 0.3), t_s)
-        say(
-            mavlink.MAVLink_global_position_int_message(boot_ms, *place, 101_000, 1_000, 100, 50, 0, 30_000),
-            t_s,
-        )
-        raw = (1000 * boot_ms, 6, *place, 101_000, 80, 90, 100, 0, 15)
-        say(mavlink.MAVLink_gps_raw_int_message(*raw, alt_ellipsoid=147_500, h_acc=28, v_acc=40), t_s)
+        there = (*((0, 0) if k == 8 else place), 101_000, 1_000, 100, 50, -20, 30_000)
+        say(mavlink.MAVLink_global_position_int_message(boot_ms, *there), t_s)
+        fix, n_sats, *more = (3, 255, 0, 0, 0) if k == 7 else (6, 15, 147_500, 28, 40)
+        raw = (1000 * boot_ms, fix, *place, 101_000, 80, 90, 100, 0, n_sats)
+        say(mavlink.MAVLink_gps_raw_int_message(*raw, *more), t_s)
         for number, cm in enumerate(ranges_cm[k] if ranges_cm else ()):
             say(mavlink.MAVLink_distance_sensor_message(boot_ms, 30, 5000, cm, 1, number, 25, 0), t_s)
+            say(mavlink.MAVLink_distance_sensor_message(boot_ms, 30, 5000, 900, 1, number, 0, 0), t_s)
         if not ranges_cm:
             depth = (boot_ms, 0, k != 3, *place, 101.0, 0.0, 0.0, 0.0, 2.5, 12.0)
             say(mavlink.MAVLink_water_depth_message(*depth), t_s)
@@ -240,23 +238,32 @@ def telemetry(
     return b"".join(out)
 
 
-def test_telemetry_gives_the_same_tables(tmp_path: Path) -> None:
+def test_telemetry_gives_the_same_tables(tmp_path):
     path = tmp_path / "flight.tlog"
-    path.write_bytes(telemetry())
+    path.write_bytes(telemetry(said=(b"hello", b"ArduRover V4")))
     assert recognise(path) == "mavlink"
     log = read_ardupilot([path], TrackOptions())
     state = log.states.iloc[50]
     assert state.t_gps_s == pytest.approx(float(gps_from_unix(1.7e9 + 10.0)), abs=1e-3)
     assert (state.roll_rad, state.pitch_rad) == pytest.approx((0.01, -0.02))
     assert state.heading_rad == pytest.approx(2 * np.pi - 1.0)
-    assert (state.v_north_mps, state.v_east_mps, state.rate_z_radps) == pytest.approx((1.0, 0.5, 0.3))
+    assert (state.v_north_mps, state.v_east_mps, state.v_down_mps) == pytest.approx((1.0, 0.5, -0.2))
+    rates = (state.rate_x_radps, state.rate_y_radps, state.rate_z_radps)
+    assert rates == pytest.approx((0.1, 0.2, 0.3))
     assert state.h_ell_m == pytest.approx(147.5)
+    for row in (state, log.positions.iloc[50]):
+        assert (row.lat_deg, row.lon_deg) == pytest.approx((51.0001, 13.00005), abs=1e-9)
+    assert log.states["lat_deg"].iloc[8] == pytest.approx(51.000016, abs=2e-7)  # between its neighbours
+    assert log.report.model == "ArduRover V4"
+    fixes = log.positions[["fix", "n_sats", "h_ell_m", "sigma_east_m", "sigma_up_m"]].iloc[6:8]
+    expected = [["fixed", 15, 147.5, 0.028 / np.sqrt(2), 0.04], ["single", -1, None, None, None]]
+    assert fixes.replace({np.nan: None}).to_numpy().tolist() == expected
     assert (state.sigma_north_m, state.sigma_up_m) == pytest.approx((0.028 / np.sqrt(2), 0.040))
     assert log.depths["depth_m"].value_counts().to_dict() == {2.5: 99, 0.0: 1}
     assert log.triggers_gps_s == pytest.approx([float(gps_from_unix(1.7e9 + 4.0))] * 2, abs=1e-3)
 
 
-def test_signed_telemetry_is_recognised(tmp_path: Path) -> None:
+def test_signed_telemetry_is_recognised(tmp_path):
     path = tmp_path / "flight.tlog"
     path.write_bytes(telemetry(signed=True))
     assert len(path.read_bytes()) == len(telemetry()) + 13 * (5 * 100 + 2)
@@ -264,7 +271,7 @@ def test_signed_telemetry_is_recognised(tmp_path: Path) -> None:
     assert len(read_ardupilot([path], TrackOptions()).states) == 100
 
 
-def test_telemetry_without_a_clock_has_no_gps_time(tmp_path: Path) -> None:
+def test_telemetry_without_a_clock_has_no_gps_time(tmp_path):
     path = tmp_path / "flight.tlog"
     path.write_bytes(telemetry(unix_s=0.0))
     report = describe(path)
@@ -272,7 +279,7 @@ def test_telemetry_without_a_clock_has_no_gps_time(tmp_path: Path) -> None:
     assert any("ground station received it 2022-04-15" in note for note in report.notes)
 
 
-def test_what_a_ground_station_says_is_not_the_vehicles(tmp_path: Path) -> None:
+def test_what_a_ground_station_says_is_not_the_vehicles(tmp_path):
     path = tmp_path / "flight.tlog"
     path.write_bytes(telemetry(component=190))
     with pytest.raises(InputError, match="neither attitudes, positions nor depths"):
@@ -280,7 +287,7 @@ def test_what_a_ground_station_says_is_not_the_vehicles(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("other", [{"system": 2}, {"unix_s": 1.8e9}])
-def test_of_two_vehicles_or_two_starts_one_is_taken(tmp_path: Path, other: Any) -> None:
+def test_of_two_vehicles_or_two_starts_one_is_taken(tmp_path, other):
     path = tmp_path / "flight.tlog"
     path.write_bytes(telemetry(n=60, **other) + telemetry())
     log = read_ardupilot([path], TrackOptions())
@@ -290,7 +297,7 @@ def test_of_two_vehicles_or_two_starts_one_is_taken(tmp_path: Path, other: Any) 
     assert any("start with most messages is taken" in note for note in log.report.notes)
 
 
-def test_of_two_sounders_one_is_taken_and_what_lies_outside_its_reach_is_no_bottom(tmp_path: Path) -> None:
+def test_of_two_sounders_one_is_taken_and_what_lies_outside_its_reach_is_no_bottom(tmp_path):
     path = tmp_path / "flight.tlog"
     path.write_bytes(telemetry(n=20, ranges_cm=[(410, 5001 if k % 2 else 0) for k in range(20)]))
     log = read_ardupilot([path], TrackOptions())
@@ -304,7 +311,7 @@ def test_of_two_sounders_one_is_taken_and_what_lies_outside_its_reach_is_no_bott
 
 
 @pytest.mark.real
-def test_real_logs_are_as_pymavlink_counts_them(data_dir: Path) -> None:
+def test_real_logs_are_as_pymavlink_counts_them(data_dir):
     today = data_dir / "today"
     plane = read_ardupilot([today / "ardupilot_pymavlink/test.BIN"], TrackOptions())
     assert (len(plane.positions), len(plane.states)) == (5, 24)
@@ -320,9 +327,7 @@ def test_real_logs_are_as_pymavlink_counts_them(data_dir: Path) -> None:
     assert not far.report.synchronised
 
 
-def test_one_file_stands_in_each_stream_that_it_holds(
-    boat: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_one_file_stands_in_each_stream_that_it_holds(boat, tmp_path, capsys):
     folder = tmp_path / "campaigns"
     assert main(["new-campaign", "boat", "--from-logs", str(tmp_path), "--folder", str(folder)]) == 0
     path = folder / "boat.yaml"
@@ -332,7 +337,7 @@ def test_one_file_stands_in_each_stream_that_it_holds(
     assert "files: 1 ins, 1 depth" in capsys.readouterr().out
 
 
-def test_damaged_logs_are_read_or_refused(tmp_path: Path, fuzz: Any) -> None:
+def test_damaged_logs_are_read_or_refused(tmp_path, fuzz):
     read, logs = partial(read_ardupilot, options=TrackOptions()), (boat_log()[:20_000], telemetry()[:9_000])
     for data, log in read_or_refused(fuzz, tmp_path / "fuzz.bin", read, *logs):
         assert len(log.states) + len(log.positions) <= len(data) / 12

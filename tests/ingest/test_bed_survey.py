@@ -1,7 +1,5 @@
 """Surveyed points of a bed: from the map grid into the world, and tables that are none."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from pyproj import CRS
@@ -14,16 +12,16 @@ UTM = "EPSG:25833"
 HEAD = "east_m,north_m,h_ell_m,sigma_m"
 
 
-def text(points: np.ndarray, sigma_m: float = 0.02, head: str = HEAD) -> str:
+def text(points, sigma_m=0.02, head=HEAD):
     rows = FRAME.to_map(points, CRS(25833))
     return "\n".join([head, *(f"{e:.4f},{n:.4f},{h:.4f},{sigma_m}" for e, n, h in rows.tolist())]) + "\n"
 
 
-def points(n: int = 20) -> np.ndarray:
+def points(n=20):
     return np.random.default_rng(4).uniform([-50, -50, -3], [50, 50, 0], (n, 3))
 
 
-def test_points_of_all_files_come_into_the_world(tmp_path: Path) -> None:
+def test_points_of_all_files_come_into_the_world(tmp_path):
     first, second = points()[:12], points()[12:]
     (tmp_path / "a.csv").write_text(text(first), encoding="utf-8-sig")
     lines = text(second, 0.05).splitlines()
@@ -56,7 +54,7 @@ SWAPPED = "east_m,north_m,h_ell_m,sigma_m\n" + "".join(
         ("\x00\xff", r"zero bytes; expected a table as text"),
     ],
 )
-def test_what_is_no_bed_is_refused_with_its_place(tmp_path: Path, content: str, answer: str) -> None:
+def test_what_is_no_bed_is_refused_with_its_place(tmp_path, content, answer):
     assert content != GOOD
     path = tmp_path / "bed.csv"
     path.write_bytes(content.encode("latin-1"))
@@ -65,7 +63,7 @@ def test_what_is_no_bed_is_refused_with_its_place(tmp_path: Path, content: str, 
     assert "bed.csv" in str(caught.value)
 
 
-def test_what_a_table_says_itself_is_followed(tmp_path: Path) -> None:
+def test_what_a_table_says_itself_is_followed(tmp_path):
     """Another name, another separator, another unit: the same points."""
     (tmp_path / "a.csv").write_text(GOOD)
     rows = [[float(x) for x in row.split(",")] for row in GOOD.split()[1:]]
@@ -76,7 +74,7 @@ def test_what_a_table_says_itself_is_followed(tmp_path: Path) -> None:
     assert other.sigma_m == pytest.approx(one.sigma_m, abs=1e-6)
 
 
-def test_a_missing_file_and_swapped_axes_are_named(tmp_path: Path) -> None:
+def test_a_missing_file_and_swapped_axes_are_named(tmp_path):
     with pytest.raises(InputError, match="file not found"):
         read_bed_survey([tmp_path / "none.csv"], FRAME, UTM)
     (tmp_path / "bed.csv").write_text(SWAPPED)

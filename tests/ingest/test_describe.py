@@ -2,7 +2,6 @@
 
 import os
 import struct
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -30,9 +29,7 @@ REAL = [
 
 @pytest.mark.real
 @pytest.mark.parametrize(("name", "kind", "model", "what", "n", "synchronised"), REAL)
-def test_real_recordings_are_known_by_content(
-    data_dir: Path, tmp_path: Path, name: str, kind: str, model: str, what: str, n: int, synchronised: bool
-) -> None:
+def test_real_recordings_are_known_by_content(data_dir, tmp_path, name, kind, model, what, n, synchronised):
     anonymous = tmp_path / "log"
     anonymous.symlink_to(data_dir / name)
     assert recognise(anonymous) == kind
@@ -46,7 +43,7 @@ def test_real_recordings_are_known_by_content(
 
 
 @pytest.mark.real
-def test_the_distance_of_rover_and_base_is_told(data_dir: Path, capsys) -> None:
+def test_the_distance_of_rover_and_base_is_told(data_dir, capsys):
     """In one SBP log, and of two RINEX files beside each other."""
     car = data_dir / "rinex_cssrlib_kinematic_2021"
     files = [next((data_dir / "sbp_piksi_rtk_2017").glob("*.sbp")), *sorted(car.glob("*.21O"))]
@@ -57,7 +54,7 @@ def test_the_distance_of_rover_and_base_is_told(data_dir: Path, capsys) -> None:
 
 
 @pytest.mark.real
-def test_a_wrong_product_byte_needs_the_model(data_dir: Path) -> None:
+def test_a_wrong_product_byte_needs_the_model(data_dir):
     path = data_dir / "vlp16_veloview/vlp-16-test-90deg-1-50-frames.pcap"
     with pytest.raises(UnsupportedError, match=r"HDL-32E.*set lidar\.model to VLP-16"):
         describe(path)
@@ -66,7 +63,7 @@ def test_a_wrong_product_byte_needs_the_model(data_dir: Path) -> None:
     assert any("HDL-32E" in note for note in report.notes)
 
 
-def sbet_bytes(byte_order: str = "<", n: int = 20) -> bytes:
+def sbet_bytes(byte_order="<", n=20):
     records = np.zeros((n, 17))
     records[:, 0] = 298_000.0 + np.arange(n) * 0.005
     records[:, 1:4] = [0.89, 0.23, 250.0]
@@ -86,7 +83,7 @@ def sbet_bytes(byte_order: str = "<", n: int = 20) -> bytes:
         (b"rubbish\r\n$GPRMC,081836,A,3751.65,S,14507.36,E,000.0,360.0,130998,011.3,E*62\r\n", "nmea"),
     ],
 )
-def test_small_files_are_known_by_content(tmp_path: Path, content: bytes, kind: str) -> None:
+def test_small_files_are_known_by_content(tmp_path, content, kind):
     path = tmp_path / "wrong_ending.jpg"
     path.write_bytes(content)
     assert recognise(path) == kind
@@ -103,21 +100,21 @@ def test_small_files_are_known_by_content(tmp_path: Path, content: bytes, kind: 
         ("%  GPST  latitude".encode("utf-16"), "UTF-16"),
     ],
 )
-def test_foreign_files_are_refused_with_the_known_kinds(tmp_path: Path, content: bytes, message: str) -> None:
+def test_foreign_files_are_refused_with_the_known_kinds(tmp_path, content, message):
     path = tmp_path / "foreign"
     path.write_bytes(content)
     with pytest.raises(InputError, match=message):
         describe(path)
 
 
-def test_missing_files_and_folders_are_told(tmp_path: Path) -> None:
+def test_missing_files_and_folders_are_told(tmp_path):
     with pytest.raises(InputError, match="file not found"):
         describe(tmp_path / "none.pcap")
     with pytest.raises(InputError, match="this is a folder"):
         describe(tmp_path)
 
 
-def test_random_bytes_are_never_taken_for_a_log(rng: np.random.Generator, tmp_path: Path) -> None:
+def test_random_bytes_are_never_taken_for_a_log(rng, tmp_path):
     """Chance CRC matches cover a few bytes of 64 kB; a tenth is demanded."""
     path = tmp_path / "noise"
     for _ in range(20):
@@ -126,7 +123,7 @@ def test_random_bytes_are_never_taken_for_a_log(rng: np.random.Generator, tmp_pa
             recognise(path)
 
 
-def test_an_sbet_without_week_is_described_but_not_placed(tmp_path: Path) -> None:
+def test_an_sbet_without_week_is_described_but_not_placed(tmp_path):
     path = tmp_path / "trajectory"
     path.write_bytes(sbet_bytes())
     report = describe(path)
@@ -138,7 +135,7 @@ def test_an_sbet_without_week_is_described_but_not_placed(tmp_path: Path) -> Non
     assert placed.t_first_s == pytest.approx(2157 * 604_800 - 1e9 + 298_000.0)
 
 
-def test_a_pipe_does_not_hang(tmp_path: Path) -> None:
+def test_a_pipe_does_not_hang(tmp_path):
     os.mkfifo(tmp_path / "pipe.sbp")
     with pytest.raises(InputError, match="pipe or a device"):
         describe(tmp_path / "pipe.sbp")
@@ -148,7 +145,7 @@ def test_a_pipe_does_not_hang(tmp_path: Path) -> None:
 
 
 @pytest.mark.real
-def test_what_follows_zeros_or_a_second_capture_is_not_lost(data_dir: Path, tmp_path: Path) -> None:
+def test_what_follows_zeros_or_a_second_capture_is_not_lost(data_dir, tmp_path):
     """A middle third of zeros, and two captures in one file: both once ended the reading there."""
     raw = (data_dir / "vlp16_mrpt_gps/sample_velodyne_vlp16_gps.pcap").read_bytes()
     whole = describe(data_dir / "vlp16_mrpt_gps/sample_velodyne_vlp16_gps.pcap").counts["points"]

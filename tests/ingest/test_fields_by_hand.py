@@ -2,13 +2,10 @@
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
-from thalweg.core import gps_from_unix
-from thalweg.core.timescales import ADJUSTED_OFFSET_S, DAY_S
 from thalweg.ingest.nmea.reader import degrees
-from thalweg.ingest.ppk.rinex import RinexScan, _day_second, _year
+from thalweg.ingest.ppk.rinex import _day_second, _year
 from thalweg.ingest.tracks.rtklib_pos import Layout, _degrees, _row, layout_from_header, names_columns
 
 
@@ -22,7 +19,7 @@ from thalweg.ingest.tracks.rtklib_pos import Layout, _degrees, _row, layout_from
         ("5130.0", "", "NS", None), ("", "N", "NS", None),
     ],
 )  # fmt: skip
-def test_angles_of_sentences(text: str, side: str, sides: str, value: float | None) -> None:
+def test_angles_of_sentences(text, side, sides, value):
     if value is None:
         with pytest.raises(ValueError):
             degrees(text, side, sides)
@@ -33,7 +30,7 @@ def test_angles_of_sentences(text: str, side: str, sides: str, value: float | No
 # ---------------------------------------------------------------- RINEX
 
 
-def test_days_and_seconds_of_epochs() -> None:
+def test_days_and_seconds_of_epochs():
     assert _day_second(1980, 1, 6, 0, 0, 0.0) == (0, 0.0)
     assert _day_second(1981, 1, 6, 23, 59, 60.5) == (366, 86_400.5)
     for wrong in (
@@ -44,25 +41,6 @@ def test_days_and_seconds_of_epochs() -> None:
         with pytest.raises(ValueError):
             _day_second(*wrong)
     assert [_year(n) for n in (79, 80, 99, 0)] == [2079, 1980, 1999, 2000]
-
-
-def test_navigation_data_has_the_time_scale_of_its_system() -> None:
-    """GLONASS is in UTC, BeiDou 14 s behind GPS."""
-    scan = RinexScan.__new__(RinexScan)
-    days = 16_000.0
-    for name, value in (
-        ("kind", "navigation"), ("days", [days] * 3), ("seconds", [100.0] * 3), ("letters", ["G", "R", "C"]),
-        ("time_system", "GPS"),
-    ):  # fmt: skip
-        object.__setattr__(scan, name, value)
-    t = days * DAY_S + 100.0 - ADJUSTED_OFFSET_S
-    utc = float(gps_from_unix(days * DAY_S + 315_964_800.0 + 100.0))
-    np.testing.assert_allclose(scan.t_gps_s, [t, utc, t + 14.0])
-    assert utc == pytest.approx(t + 18.0)
-    for system, shift in (("GPS", 0.0), ("GAL", 0.0), ("GLO", 18.0), ("UTC", 18.0), ("BDT", 14.0)):
-        for name, value in (("kind", "observation"), ("letters", []), ("time_system", system)):
-            object.__setattr__(scan, name, value)
-        np.testing.assert_allclose(scan.t_gps_s, t + shift)
 
 
 # ---------------------------------------------------------------- RTKLIB
@@ -87,7 +65,7 @@ LLH = ("Q", "ns", "sdn", "sde", "sdu", "sdne", "sdeu", "sdun", "age", "ratio")
         (["50", "06", "00.0", "13", "12", "00.0", "200.0", *TAIL], "llh", True, LLH),
     ],
 )  # fmt: skip
-def test_columns_without_a_header(fields: list[str], form: str, dms: bool, names: tuple[str, ...]) -> None:
+def test_columns_without_a_header(fields, form, dms, names):
     layout = layout_from_header([], [*DATE, *fields])
     assert (layout.form, layout.dms, layout.names) == (form, dms, names)
     assert (layout.calendar, layout.scale, layout.geodetic, len(layout.guesses)) == (True, "gps", False, 2)
@@ -95,7 +73,7 @@ def test_columns_without_a_header(fields: list[str], form: str, dms: bool, names
     assert not layout_from_header([], ["1948", "499513.4", *fields]).calendar
 
 
-def test_a_header_names_its_columns() -> None:
+def test_a_header_names_its_columns():
     sigmas = "sdn(m) sde(m) sdu(m) sdne(m) sdeu(m) sdue(m)"
     plain = f"  UTC   latitude(deg) longitude(deg) height(m)   Q  ns {sigmas} age(s)"
     layout = layout_from_header(["program : x", "(lat/lon/height=WGS84/geodetic,Q=1:fix)", plain], DATE)
@@ -116,13 +94,11 @@ def test_a_header_names_its_columns() -> None:
 LAYOUT = Layout(form="llh", dms=False, calendar=True, scale="gps", geodetic=False, names=("Q", "ns"))
 
 
-def row(
-    date: str = "2017/05/12", time: str = "18:45:13.4", *more: str, **layout: object
-) -> list[float] | None:
+def row(date="2017/05/12", time="18:45:13.4", *more, **layout):
     return _row([date, time, *(more or ("50.1", "13.2", "200.0", "1", "11"))], replace(LAYOUT, **layout))
 
 
-def test_numbers_of_a_line() -> None:
+def test_numbers_of_a_line():
     day = 17_298 * 86_400.0  # days from 1970 to 12 May 2017
     assert row() == [day + 18 * 3600 + 45 * 60, 13.4, 0.0, 50.1, 13.2, 200.0, 1.0, 11.0]
     assert row("2016/12/31", "23:59:60.25")[1:3] == [59.25, 1.0]

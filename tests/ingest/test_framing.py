@@ -2,11 +2,9 @@
 
 import binascii
 import struct
-from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -24,7 +22,7 @@ Frame = tuple[int, int, int, int]
 """Kind, sender, offset of the payload, length."""
 
 
-def walk(data: bytes, at: Callable[[bytes, int], tuple[Frame, int] | None], least: int) -> Iterator[Frame]:
+def walk(data, at, least):
     """Frames of a log: the text of a format, word for word, tried at each byte."""
     i = 0
     while i + least <= len(data):
@@ -35,7 +33,7 @@ def walk(data: bytes, at: Callable[[bytes, int], tuple[Frame, int] | None], leas
             i = found[1]
 
 
-def anpp_at(data: bytes, i: int) -> tuple[Frame, int] | None:
+def anpp_at(data, i):
     lrc, kind, length, crc = struct.unpack_from("<BBBH", data, i)
     payload = data[i + 5 : i + 5 + length]
     sound = lrc == -sum(data[i + 1 : i + 5]) & 0xFF and len(payload) == length
@@ -43,7 +41,7 @@ def anpp_at(data: bytes, i: int) -> tuple[Frame, int] | None:
     return ((kind, 0, i + 5, length), i + 5 + length) if sound else None
 
 
-def sbp_at(data: bytes, i: int) -> tuple[Frame, int] | None:
+def sbp_at(data, i):
     first, kind, sender, length = struct.unpack_from("<BHHB", data, i)
     end = i + 6 + length
     sound = first == 0x55 and kind != 0 and end + 2 <= len(data)
@@ -64,18 +62,18 @@ SBP = SimpleNamespace(
 both = pytest.mark.parametrize("form", [ANPP, SBP], ids=["anpp", "sbp"])
 
 
-def found(form: Any, data: bytes, tally: StreamTally | None = None) -> list[Frame]:
+def found(form, data, tally=None):
     b = form.find(np.frombuffer(data, np.uint8), tally)
     return list(zip(b.kind.tolist(), b.sender.tolist(), b.offset.tolist(), b.length.tolist(), strict=True))
 
 
-def some_log(form: Any, rng: np.random.Generator, n: int = 40) -> bytes:
+def some_log(form, rng, n=40):
     kinds = rng.integers(1, form.kinds, n).tolist()
     return b"".join(form.write(kind, rng.bytes(int(rng.integers(256)))) for kind in kinds)
 
 
 @pytest.mark.parametrize("size", [0, 1, 2, 3, 4, 5, 7, 8, 48, 100, 255])
-def test_crc_equals_the_standard_library(size: int, rng: np.random.Generator) -> None:
+def test_crc_equals_the_standard_library(size, rng):
     data = rng.bytes(size)
     for start in (0, 0xFFFF):
         got = crc16(np.frombuffer(data, np.uint8).copy(), 0, size, start)
@@ -83,7 +81,7 @@ def test_crc_equals_the_standard_library(size: int, rng: np.random.Generator) ->
 
 
 @both
-def test_framing_equals_the_reference(form: Any, rng: np.random.Generator) -> None:
+def test_framing_equals_the_reference(form, rng):
     """A clean log has no losses; in damaged ones all sound frames are found, all else is counted."""
     for k in range(60):
         data, tally = bytearray(some_log(form, rng, 40 if k == 0 else 12)), StreamTally()
@@ -102,7 +100,7 @@ def test_framing_equals_the_reference(form: Any, rng: np.random.Generator) -> No
 
 
 @both
-def test_damage_costs_the_damaged_frame_only(form: Any, rng: np.random.Generator) -> None:
+def test_damage_costs_the_damaged_frame_only(form, rng):
     parts = [form.write(20, rng.bytes(100)) for _ in range(5)]
     broken, n = bytearray(parts[2]), 100 + form.around
     broken[50] ^= 1
@@ -115,7 +113,7 @@ def test_damage_costs_the_damaged_frame_only(form: Any, rng: np.random.Generator
 
 
 @both
-def test_false_headers_and_cuts_hide_nothing(form: Any, rng: np.random.Generator) -> None:
+def test_false_headers_and_cuts_hide_nothing(form, rng):
     sound = [form.write(20, rng.bytes(50)), form.write(28, rng.bytes(48))]
     tally = StreamTally()
     got = found(form, form.false + b"".join(sound) + sound[0][:-1], tally)
@@ -126,9 +124,7 @@ def test_false_headers_and_cuts_hide_nothing(form: Any, rng: np.random.Generator
 
 @both
 @pytest.mark.parametrize("chunk_bytes", [1, 7, 64, 4096, 1 << 20])
-def test_pieces_and_files_of_any_size_give_the_same(
-    form: Any, chunk_bytes: int, rng: np.random.Generator, tmp_path: Path
-) -> None:
+def test_pieces_and_files_of_any_size_give_the_same(form, chunk_bytes, rng, tmp_path):
     data = some_log(form, rng, 15) + b"garbage" + some_log(form, rng, 15)
     # cut in a packet, one empty
     files, tally = writers.files_of(tmp_path, data[:1500], b"", data[1500:]), StreamTally()
@@ -140,11 +136,11 @@ def test_pieces_and_files_of_any_size_give_the_same(
     assert [b.first for b in blocks] == np.cumsum([0, *(b.kind.size for b in blocks)])[:-1].tolist()
 
 
-def test_more_packets_than_the_output_holds_at_once() -> None:
+def test_more_packets_than_the_output_holds_at_once():
     assert find_packets(np.frombuffer(writers.anpp(3, b"") * 300_000, np.uint8)).kind.size == 300_000
 
 
-def test_a_run_of_zeros_is_no_message(tmp_path: Path) -> None:
+def test_a_run_of_zeros_is_no_message(tmp_path):
     """The CRC of 55 and seven zeros is right, but no message has type 0."""
     one, two = writers.sbp(0x0102, b"abc"), writers.sbp(0x020A, b"")
     tally = StreamTally()
@@ -171,7 +167,7 @@ BAD = [
 
 @both
 @pytest.mark.parametrize(("data", "message"), BAD)
-def test_bad_input_is_refused_with_a_reason(form: Any, data: Any, message: str, tmp_path: Path) -> None:
+def test_bad_input_is_refused_with_a_reason(form, data, message, tmp_path):
     path, what = tmp_path / "bad.log", "ANPP packet" if form is ANPP else "SBP message"
     if (content := data(form)) is not None:
         path.write_bytes(content)
@@ -181,9 +177,7 @@ def test_bad_input_is_refused_with_a_reason(form: Any, data: Any, message: str, 
 
 
 @both
-def test_no_file_a_folder_and_a_file_of_something_else(
-    form: Any, tmp_path: Path, rng: np.random.Generator
-) -> None:
+def test_no_file_a_folder_and_a_file_of_something_else(form, tmp_path, rng):
     with pytest.raises(InputError, match=f"no files with .* {form.word}s"):
         form.read([])
     with pytest.raises(InputError, match="cannot be read"):
@@ -197,7 +191,7 @@ def test_no_file_a_folder_and_a_file_of_something_else(
     assert log.report.losses == {f"bytes_outside_{form.word}s": 30, f"{form.word}s_cut_at_end": 1}
 
 
-def damaged_inside(form: Any, data: bytes, rng: np.random.Generator) -> bytes:
+def damaged_inside(form, data, rng):
     """Damage payloads and lengths but keep all checksums right: values that no device sends."""
     out = b""
     for kind, sender, start, size in form.reference(data):
@@ -216,7 +210,7 @@ def damaged_inside(form: Any, data: bytes, rng: np.random.Generator) -> bytes:
 @pytest.mark.filterwarnings("ignore::thalweg.core.timescales.LeapSecondWarning")
 @pytest.mark.parametrize("inside", [False, True])
 @both
-def test_damaged_logs_are_read_or_refused(form: Any, inside: bool, fuzz: Any, tmp_path: Path) -> None:
+def test_damaged_logs_are_read_or_refused(form, inside, fuzz, tmp_path):
     by = partial(damaged_inside, form) if inside else None
     for data, log in writers.read_or_refused(fuzz, tmp_path / "fuzz.log", form.read, form.some(), by=by):
         outside = log.report.losses.get(f"bytes_outside_{form.word}s", 0)

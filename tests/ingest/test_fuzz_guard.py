@@ -1,26 +1,21 @@
 """The limits under which damaged inputs are read do bite."""
 
-import itertools
 import signal
 import sys
 import time
-from typing import Any
 
 import numpy as np
 import pytest
 
-resource = pytest.importorskip("resource", reason="the limits are for systems with signals and limits")
-BEFORE = resource.getrlimit(resource.RLIMIT_AS)
 
-
-def hang(fuzz: Any, seen: list[bytes]) -> None:
+def hang(fuzz, seen):
     for data in fuzz.inputs(b"abc", limit_s=0.05):
         seen.append(data)
         time.sleep(20.0)
 
 
-def test_an_endless_reader_fails(fuzz: Any) -> None:
-    seen: list[bytes] = []
+def test_an_endless_reader_fails(fuzz):
+    seen = []
     with pytest.raises(TimeoutError, match=r"input 0: not done within 0\.05 s"):
         hang(fuzz, seen)
     assert len(seen) == 1
@@ -28,46 +23,21 @@ def test_an_endless_reader_fails(fuzz: Any) -> None:
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="the cap of memory is for Linux only")
-def test_a_greedy_reader_fails(fuzz: Any) -> None:
+def test_a_greedy_reader_fails(fuzz):
     np.empty(1 << 30, dtype=np.uint8)
     with pytest.raises(MemoryError):
         np.empty(3 << 30, dtype=np.uint8)
 
 
-def test_the_cap_of_memory_is_taken_off() -> None:
-    assert resource.getrlimit(resource.RLIMIT_AS) == BEFORE
-
-
-def test_a_reader_that_refuses_all_fails(fuzz: Any) -> None:
+def test_a_reader_that_refuses_all_fails(fuzz):
     n = sum(1 for _ in fuzz.inputs(b"abc", b"xyz"))
     assert n == fuzz.count
     with pytest.raises(AssertionError, match=f"0 of {n} inputs were read"):
         fuzz.check(read=0.1, troubled=0.1)
 
 
-def test_a_reader_that_reports_nothing_fails(fuzz: Any) -> None:
+def test_a_reader_that_reports_nothing_fails(fuzz):
     for _ in fuzz.inputs(b"abc"):
         fuzz.was_read()
     with pytest.raises(AssertionError, match=r"0 of \d+ inputs were refused or reported"):
         fuzz.check(read=0.1, troubled=0.1)
-
-
-def test_a_loop_that_ends_early_fails(fuzz: Any) -> None:
-    for _ in fuzz.inputs(b"abc"):
-        fuzz.was_read(reported=True)
-        break
-    fuzz.n_read = fuzz.count
-    with pytest.raises(AssertionError):
-        fuzz.check(read=0.1, troubled=0.1)
-
-
-def test_damage_is_of_every_kind_and_the_same_each_time(fuzz: Any) -> None:
-    source = bytes(range(200))
-    found = list(itertools.islice(fuzz.inputs(source, most=2), 300))  # 200 bytes hold no 10,000 damages
-    sizes = np.array([len(data) for data in found])
-    assert min(sizes) >= 1
-    for some in (sizes < 200, sizes == 200, sizes > 200):
-        assert np.mean(some) > 0.05
-    assert len(set(found)) > 0.9 * len(found)
-    again = type(fuzz)(np.random.default_rng(5), 20), type(fuzz)(np.random.default_rng(5), 20)
-    assert list(again[0].inputs(source)) == list(again[1].inputs(source))

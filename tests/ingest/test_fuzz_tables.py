@@ -10,6 +10,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.testing import assert_allclose
 from pyproj import CRS, Transformer
 
 from thalweg.bathymetry import read_columns, read_line, read_soundings
@@ -44,15 +45,15 @@ class Form:
     cell: Callable[[str], str] = str
     names_cell: Callable[[str], str] = str
 
-    def rows(self) -> list[list[str]]:
+    def rows(self):
         return [
             [self.cell(self.number(v)) for v in row] for row in self.values.itertuples(index=False, name=None)
         ]
 
-    def number(self, value: object) -> str:
+    def number(self, value):
         return repr(value).replace(".", self.decimal) if isinstance(value, float) else str(value)
 
-    def write(self, path: Path) -> Path:
+    def write(self, path):
         heads = [self.names_cell(self.names.get(name, name)) for name in self.values]
         lines = [self.separator.join(heads)] * self.header
         lines += [self.below_names] * bool(self.below_names)
@@ -65,7 +66,7 @@ class Form:
 # ---------------------------------------------------------------- the examples of README and tutorial
 
 
-def survey(draw: int) -> dict[str, pd.DataFrame]:
+def survey(draw):
     """The example tables of a draw: a zigzag somewhere within 3 km of the origin, to a centimetre."""
     rng = np.random.default_rng([SEED, draw])
     n = int(rng.integers(25, 60))
@@ -90,25 +91,25 @@ def survey(draw: int) -> dict[str, pd.DataFrame]:
     }
 
 
-def soundings(path: Path, *, depth: bool) -> np.ndarray:
+def soundings(path, *, depth):
     found = read_soundings(path, UTM, column=None, depth=None, level_m=None, line_column=None, sigma_m=0.02)
     assert found.depth == depth
     return np.column_stack([found.places_m, found.height_m])
 
 
-def control(path: Path) -> np.ndarray:
+def control(path):
     found = read_control_points(path, FRAME, crs="EPSG:25833", sigma_m=(0.01, 0.01, 0.02))
     return found.points_wcs_m
 
 
-def marks(path: Path) -> np.ndarray:
+def marks(path):
     found = read_marks(path)
     assert found.image[:2] == ("b0.jpg", "b1.jpg")
     assert found.point[:2] == ("P0", "P1")
     return found.xy_px
 
 
-READ: dict[str, Callable[[Path], np.ndarray]] = {
+READ = {
     "soundings": lambda path: soundings(path, depth=False),
     "depths": lambda path: soundings(path, depth=True),
     "cloud": lambda path: read_points(path).xyz_m,
@@ -125,7 +126,7 @@ LENGTHS = ("x", "y", "z", "depth", "sigma")
 # ---------------------------------------------------------------- forms with one result
 
 
-def permuted(form: Form, rng: np.random.Generator) -> Form:
+def permuted(form, rng):
     return replace(form, values=form.values[list(rng.permutation(form.values.columns))])
 
 
@@ -145,14 +146,14 @@ CONTROL = {"x": "Easting", "y": "Northing", "z": "Altitude", "id": "Label"}
 """Of control points ``east_m`` means the world frame."""
 
 
-def renamed(form: Form, rng: np.random.Generator) -> Form:
+def renamed(form, rng):
     k = int(rng.integers(4))
     own = CONTROL if "id" in form.values else {name: v[k] for name, v in SYNONYMS.items()}
     return replace(form, names={name: own[name] for name in form.values})
 
 
-def in_unit(metres: float, name: Callable[[str], str]) -> Callable[[Form, np.random.Generator], Form]:
-    def convert(form: Form, rng: np.random.Generator) -> Form:
+def in_unit(metres, name):
+    def convert(form, rng):
         lengths = [c for c in form.values if c in LENGTHS]
         values = form.values.assign(**{c: form.values[c] / metres for c in lengths})
         return replace(form, values=values, names={c: name(c) for c in lengths})
@@ -160,31 +161,31 @@ def in_unit(metres: float, name: Callable[[str], str]) -> Callable[[Form, np.ran
     return convert
 
 
-def units_below(form: Form, rng: np.random.Generator) -> Form:
+def units_below(form, rng):
     lengths = [c for c in form.values if c in LENGTHS]
     values = form.values.assign(**{c: form.values[c] / 0.3048 for c in lengths})
     line = form.separator.join("ft" if c in LENGTHS else "-" for c in values)
     return replace(form, values=values, below_names=line)
 
 
-def degrees(form: Form, rng: np.random.Generator, *, names: bool = True) -> Form:
+def degrees(form, rng, *, names=True):
     """Longitude and latitude to twelve digits, 0.1 micrometres."""
     lon, lat = Transformer.from_crs(UTM, 4326, always_xy=True).transform(form.values["x"], form.values["y"])
     values = form.values.assign(x=np.round(lon, 12), y=np.round(lat, 12))
     return replace(form, values=values, names={"x": "lon", "y": "lat"} if names else {})
 
 
-def nothing(*cells: str) -> Callable[[Form, np.random.Generator], Form]:
+def nothing(*cells):
     """A row without values at the end."""
 
-    def add(form: Form, rng: np.random.Generator) -> Form:
+    def add(form, rng):
         row = [cells[k % len(cells)] for k in range(form.values.shape[1])]
         return replace(form, tail=form.separator.join(row))
 
     return add
 
 
-def more_columns(form: Form, rng: np.random.Generator) -> Form:
+def more_columns(form, rng):
     n = len(form.values)
     first = pd.DataFrame({"FID": range(n), "remark": ['"stone, wet"'] * n})
     return replace(
@@ -192,14 +193,14 @@ def more_columns(form: Form, rng: np.random.Generator) -> Form:
     )
 
 
-def text(**how: object) -> Callable[[Form, np.random.Generator], Form]:
-    return lambda form, rng: replace(form, **how)  # type: ignore[arg-type]
+def text(**how):
+    return lambda form, rng: replace(form, **how)
 
 
-def grouped(form: Form, rng: np.random.Generator) -> Form:
+def grouped(form, rng):
     """5.650.000,25 as spreadsheets of a German locale show it."""
 
-    def cell(value: str) -> str:
+    def cell(value):
         try:
             return f"{float(value):,.6f}".replace(",", " ").replace(".", ",").replace(" ", ".")
         except ValueError:
@@ -209,7 +210,7 @@ def grouped(form: Form, rng: np.random.Generator) -> Form:
 
 
 Make = Callable[[Form, np.random.Generator], Form]
-SAME: dict[str, Make] = {
+SAME = {
     "as it is": text(),
     "columns in another order": permuted,
     "other names": renamed,
@@ -262,17 +263,17 @@ SAME: dict[str, Make] = {
 # ---------------------------------------------------------------- forms that must be refused
 
 
-def swapped(form: Form, rng: np.random.Generator) -> Form:
+def swapped(form, rng):
     return replace(form, values=form.values.assign(x=form.values["y"], y=form.values["x"]))
 
 
-def scaled(factor: float, shift: float = 0.0) -> Make:
+def scaled(factor, shift=0.0):
     return lambda form, rng: replace(
         form, values=form.values.assign(x=form.values["x"] * factor + shift, y=form.values["y"] * factor)
     )
 
 
-def joined(form: Form, rng: np.random.Generator) -> Form:
+def joined(form, rng):
     """A second file with its columns in another order, behind the first."""
     other = form.values[list(form.values.columns)[::-1]]
     lines = [form.separator.join(other.columns)]
@@ -280,7 +281,7 @@ def joined(form: Form, rng: np.random.Generator) -> Form:
     return replace(form, tail="\n".join(lines))
 
 
-REFUSED: dict[str, Make] = {
+REFUSED = {
     "east and north exchanged": swapped,
     "feet that nothing states": scaled(1 / 0.3048),
     "millimetres that nothing states": scaled(1000.0),
@@ -302,18 +303,18 @@ UNTOLD = {"cloud", "cameras", "flow"}
 """Of these no coordinate system is known, so that another place is as good as any."""
 
 
-def result(name: str, form: Form, folder: Path) -> np.ndarray:
+def result(name, form, folder):
     return READ[name](form.write(folder / "table.csv"))
 
 
-def told(error: ThalwegError) -> None:
+def told(error):
     """A refusal names what was found, what was expected and what to do."""
     assert error.found
     assert error.expected
     assert error.cure
 
 
-def pairs(hows: dict[str, Make]) -> list[tuple[str, str]]:
+def pairs(hows):
     """Form and example: each form with two examples, and with all of them in `make fuzz`."""
     names = list(READ)
     chosen = range(len(names)) if FUZZ else (0, 3)
@@ -321,20 +322,20 @@ def pairs(hows: dict[str, Make]) -> list[tuple[str, str]]:
 
 
 @cache
-def content(name: str, draw: int) -> tuple[pd.DataFrame, np.ndarray]:
+def content(name, draw):
     """An example table, and what is read of it as it is."""
     values = survey(draw)[name]
     with TemporaryDirectory() as folder:
         return values, result(name, Form(values), Path(folder))
 
 
-def suits(name: str, how: str) -> bool:
+def suits(name, how):
     """Whether a form makes sense of an example: pixels are no lengths and no places."""
     return name != "marks" or not how.startswith(("degrees", "a unit behind", "east", "feet that"))
 
 
 @pytest.mark.parametrize(("how", "name"), [(h, n) for h, n in pairs(SAME) if suits(n, h)])
-def test_fuzz_of_tables_with_one_result(name: str, how: str, tmp_path: Path) -> None:
+def test_fuzz_of_tables_with_one_result(name, how, tmp_path):
     for draw in range(DRAWS):
         values, right = content(name, draw)
         assert len(right) == len(values)
@@ -350,11 +351,11 @@ def test_fuzz_of_tables_with_one_result(name: str, how: str, tmp_path: Path) -> 
         assert found.shape == right.shape, how
         # without a stated system degrees come onto WGS 84, whose ellipsoid is 0.1 mm longer at the pole
         shape_m = 2e-4 if how.startswith("degrees") and name in UNTOLD else 1e-6
-        np.testing.assert_allclose(found, right, rtol=0, atol=shape_m)
+        assert_allclose(found, right, rtol=0, atol=shape_m)
 
 
 @pytest.mark.parametrize(("how", "name"), [(h, n) for h, n in pairs(REFUSED) if n != "marks"])
-def test_fuzz_of_tables_that_are_refused(name: str, how: str, tmp_path: Path) -> None:
+def test_fuzz_of_tables_that_are_refused(name, how, tmp_path):
     place = how.startswith(("east", "feet", "milli", "kilo", "the zone"))
     if place and name in UNTOLD:
         pytest.skip("no coordinate system is known")
@@ -370,7 +371,7 @@ def test_fuzz_of_tables_that_are_refused(name: str, how: str, tmp_path: Path) ->
 LENGTH_FORMS = ("feet", "US", "cent", "fath", "metres", "degrees", "groups")  # which have six decimals
 
 
-def test_fuzz_of_two_changes_at_once(tmp_path: Path) -> None:
+def test_fuzz_of_two_changes_at_once(tmp_path):
     """Any two forms of one content, one after the other, have it still, or are refused."""
     rng = np.random.default_rng([7, SEED])
     hows = [h for h in SAME if not h.startswith(("units below", "the file", "a row"))]
@@ -399,5 +400,5 @@ def test_fuzz_of_two_changes_at_once(tmp_path: Path) -> None:
         assert found.shape == right.shape, (name, first, second)
         # both forms are written with six decimals of their unit, one after the other
         atol = 2e-4 if name in UNTOLD else 4e-6
-        np.testing.assert_allclose(found, right, rtol=0, atol=atol, err_msg=f"{name}: {first}, {second}")
+        assert_allclose(found, right, rtol=0, atol=atol, err_msg=f"{name}: {first}, {second}")
     assert refused < 15 * DRAWS

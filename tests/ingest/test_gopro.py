@@ -2,7 +2,6 @@
 
 import datetime as dt
 import struct
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,16 +14,16 @@ from thalweg.ingest.registry import describe, read_positions, recognise
 UNIX_S = 1_492_450_263.25
 
 
-def box(kind: bytes, *content: bytes) -> bytes:
+def box(kind, *content):
     data = b"".join(content)
     return struct.pack(">I4s", len(data) + 8, kind) + data
 
 
-def full(kind: bytes, *content: bytes) -> bytes:
+def full(kind, *content):
     return box(kind, bytes(4), *content)
 
 
-def movie(payloads: list[bytes]) -> bytes:
+def movie(payloads):
     """An MP4 whose only track is telemetry, a payload a second."""
     n, head = len(payloads), box(b"ftyp", b"mp41", bytes(4), b"mp41") + box(b"free", b"GoPro")
     starts = len(head) + 8 + np.cumsum([0, *map(len, payloads)])[:-1]
@@ -47,18 +46,18 @@ def movie(payloads: list[bytes]) -> bytes:
     return head + box(b"mdat", *payloads) + movie_box
 
 
-def record(key: bytes, kind: bytes, size: int, count: int, data: bytes) -> bytes:
+def record(key, kind, size, count, data):
     """One key, length and value, filled to four bytes."""
     return key + struct.pack(">cBH", kind, size, count) + data + bytes(-len(data) % 4)
 
 
-def device(*streams: bytes) -> bytes:
+def device(*streams):
     content = b"".join(record(b"STRM", b"\0", 1, len(stream), stream) for stream in streams)
     data = record(b"DVID", b"L", 4, 1, struct.pack(">I", 1)) + record(b"DVNM", b"c", 5, 1, b"HERO5") + content
     return record(b"DEVC", b"\0", 1, len(data), data)
 
 
-def gps5(second: int, *, fix: int = 3, n: int = 20, late_s: float = 0.0) -> bytes:
+def gps5(second, *, fix=3, n=20, late_s=0.0):
     """A payload of positions that go north by 1e-6 degrees each, GPSU at its begin."""
     when = dt.datetime.fromtimestamp(UNIX_S + second + late_s, dt.UTC)
     rows = b"".join(
@@ -73,7 +72,7 @@ def gps5(second: int, *, fix: int = 3, n: int = 20, late_s: float = 0.0) -> byte
     )
 
 
-def gps9() -> bytes:
+def gps9():
     """Ten positions of 2026-05-12 with own times, the first without a fix."""
     days = (dt.date(2026, 5, 12) - dt.date(2000, 1, 1)).days
     rows = b"".join(
@@ -90,13 +89,13 @@ def gps9() -> bytes:
     )
 
 
-def video(tmp_path: Path, *payloads: bytes) -> Path:
+def video(tmp_path, *payloads):
     path = tmp_path / "GX010001.MP4"
     path.write_bytes(movie(list(payloads)))
     return path
 
 
-def test_positions_lie_on_the_line_through_the_stamps(tmp_path: Path) -> None:
+def test_positions_lie_on_the_line_through_the_stamps(tmp_path):
     """One stamp is a second and a half late, as in a video of a GoPro Max: no position moves by that."""
     path = video(tmp_path, gps5(0, fix=0), gps5(1, late_s=1.5), *(gps5(k) for k in range(2, 7)))
     assert is_gopro(path.read_bytes(), 0)
@@ -115,15 +114,14 @@ def test_positions_lie_on_the_line_through_the_stamps(tmp_path: Path) -> None:
     assert (len(positions), report.format) == (120, "GoPro video (GPMF)")
 
 
-def test_payloads_of_unequal_length_lie_on_one_line(tmp_path: Path) -> None:
+def test_payloads_of_unequal_length_lie_on_one_line(tmp_path):
     """Each stamp is that of the first position of its payload; two dimensions are a fix, too."""
     payloads = gps5(0), gps5(1, n=18), gps5(2, n=22, late_s=-0.1), gps5(3, fix=2)
     found = read_gopro([video(tmp_path, *payloads)], TrackOptions()).positions
-    assert found is not None
     assert found["t_gps_s"].to_numpy() == pytest.approx(gps_from_unix(UNIX_S + np.arange(80) / 20), abs=1e-3)
 
 
-def test_a_recent_camera_states_the_time_of_each_position(tmp_path: Path) -> None:
+def test_a_recent_camera_states_the_time_of_each_position(tmp_path):
     """Where both are there the older stream, which would be spread, is not taken."""
     log = read_gopro([video(tmp_path, gps9(), gps5(1))], TrackOptions())
     expected = dt.datetime(2026, 5, 12, 10, tzinfo=dt.UTC).timestamp() + 0.1 * np.arange(1, 10)
@@ -131,15 +129,14 @@ def test_a_recent_camera_states_the_time_of_each_position(tmp_path: Path) -> Non
     assert log.report.counts["positions_without_fix"] == 1
 
 
-def test_the_first_frame_gets_the_time_of_the_receiver(tmp_path: Path) -> None:
+def test_the_first_frame_gets_the_time_of_the_receiver(tmp_path):
     """The fix comes in the second payload: the video began a second before."""
     begin = begin_by_gps(video(tmp_path, gps5(0, fix=0), gps5(1)))
-    assert begin is not None
     assert begin.timestamp() == pytest.approx(UNIX_S, abs=1e-3)
     assert begin_by_gps(video(tmp_path, gps5(0, fix=0))) is None
 
 
-def test_a_video_without_a_fix_is_refused(tmp_path: Path) -> None:
+def test_a_video_without_a_fix_is_refused(tmp_path):
     with pytest.raises(InputError, match="20 positions, none with a fix"):
         describe(video(tmp_path, gps5(0, fix=0)))
     cut = tmp_path / "cut.MP4"
@@ -149,7 +146,7 @@ def test_a_video_without_a_fix_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.real
-def test_a_real_track_is_as_exiftool_reads_it(data_dir: Path) -> None:
+def test_a_real_track_is_as_exiftool_reads_it(data_dir):
     """exiftool -ee: 191 positions, stamps 23:45:16.470 to 25.435 of payloads 2 to 11, 0.990 s apart; the
     first says 23:45:14.000, and lies on no line with them.
     """

@@ -1,7 +1,5 @@
 """Photographs in folders below folders: which are read, how they are called, what is counted."""
 
-from pathlib import Path
-
 import pytest
 from PIL import Image
 
@@ -10,7 +8,7 @@ from thalweg.ingest.photos import by_any_name, list_images, named_images, read_i
 from thalweg.ingest.photos.files import find_images
 
 
-def photographs(folder: Path, *names: str) -> Path:
+def photographs(folder, *names):
     for name in names:
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         if name.lower().endswith((".jpg", ".png")):
@@ -23,7 +21,7 @@ def photographs(folder: Path, *names: str) -> Path:
 STAMPED = ("left/a_20210512_083107.jpg", "left/a_20210512_083108.jpg", "right/a_20210512_083107.jpg")
 
 
-def test_folders_below_are_read_and_the_rest_is_counted(tmp_path: Path) -> None:
+def test_folders_below_are_read_and_the_rest_is_counted(tmp_path):
     folder = photographs(
         tmp_path / "photos",
         "IMG_10.jpg",
@@ -50,7 +48,7 @@ def test_folders_below_are_read_and_the_rest_is_counted(tmp_path: Path) -> None:
     assert list(named_images([folder])) == names
 
 
-def test_one_folder_of_images_keeps_the_names_of_its_files(tmp_path: Path) -> None:
+def test_one_folder_of_images_keeps_the_names_of_its_files(tmp_path):
     folder = photographs(tmp_path / "photos", "b.jpg", "a_10.jpg", "a_9.jpg")
     assert list(named_images([folder])) == ["a_9.jpg", "a_10.jpg", "b.jpg"]
     assert named_images([folder / "b.jpg"]) == {"b.jpg": folder / "b.jpg"}
@@ -60,7 +58,7 @@ def test_one_folder_of_images_keeps_the_names_of_its_files(tmp_path: Path) -> No
     assert list(named_images([folder / "b.jpg", folder / "absent.jpg"])) == ["absent.jpg", "b.jpg"]
 
 
-def test_names_are_those_below_the_common_folder(tmp_path: Path) -> None:
+def test_names_are_those_below_the_common_folder(tmp_path):
     photographs(tmp_path, "left/1.jpg", "right/1.jpg", "right/low/2.jpg")
     names = ["left/1.jpg", "right/1.jpg", "right/low/2.jpg"]
     assert list(named_images([tmp_path / "right", tmp_path / "left"])) == names
@@ -72,7 +70,7 @@ def test_names_are_those_below_the_common_folder(tmp_path: Path) -> None:
         named_images([])
 
 
-def test_readers_that_know_names_of_files_only_refuse_two_of_them(tmp_path: Path) -> None:
+def test_readers_that_know_names_of_files_only_refuse_two_of_them(tmp_path):
     photographs(tmp_path, "left/1.jpg", "right/1.jpg")
     with pytest.raises(InputError, match=r"two images of the name 1.jpg below one folder.*Rename one"):
         list_images(tmp_path)
@@ -80,7 +78,7 @@ def test_readers_that_know_names_of_files_only_refuse_two_of_them(tmp_path: Path
     assert len(list_images([tmp_path / "left", tmp_path / "right"])) == 2
 
 
-def test_a_folder_that_links_to_itself_is_read_once(tmp_path: Path) -> None:
+def test_a_folder_that_links_to_itself_is_read_once(tmp_path):
     photographs(tmp_path / "photos", "1.jpg")
     photographs(tmp_path / "elsewhere", "2.jpg")
     (tmp_path / "photos" / "round").symlink_to(tmp_path / "photos")
@@ -88,7 +86,7 @@ def test_a_folder_that_links_to_itself_is_read_once(tmp_path: Path) -> None:
     assert list(named_images([tmp_path / "photos"])) == ["1.jpg", "more/2.jpg"]
 
 
-def test_stamps_of_images_of_one_name_in_two_folders(tmp_path: Path) -> None:
+def test_stamps_of_images_of_one_name_in_two_folders(tmp_path):
     photographs(tmp_path, *STAMPED, "notes.txt")
     found = read_image_stamps(tmp_path, folders=True)
     assert found.table["file"].tolist() == [STAMPED[0], STAMPED[2], STAMPED[1]]
@@ -100,11 +98,11 @@ def test_stamps_of_images_of_one_name_in_two_folders(tmp_path: Path) -> None:
     assert "1 other files beside the photographs are not read: 1 .txt." in found.report.notes
 
 
-def test_a_table_of_times_names_images_with_folders_where_it_must(tmp_path: Path) -> None:
+def test_a_table_of_times_names_images_with_folders_where_it_must(tmp_path):
     photographs(tmp_path / "photos", "left/1.jpg", "left/2.jpg", "right/1.jpg")
     table = tmp_path / "times.csv"
 
-    def stamps(*rows: str) -> dict[str, float]:
+    def stamps(*rows):
         table.write_text("file,unix_s\n" + "".join(f"{row}\n" for row in rows))
         found = read_image_stamps(tmp_path / "photos", times=table, folders=True).table
         return dict(zip(found["file"], found["t_device_s"] - found["t_device_s"].min(), strict=True))
@@ -118,7 +116,7 @@ def test_a_table_of_times_names_images_with_folders_where_it_must(tmp_path: Path
         stamps(f"left/2.jpg,{second}", f"2.jpg,{second}")
 
 
-def test_names_as_people_write_them() -> None:
+def test_names_as_people_write_them():
     found = by_any_name(["left/a.jpg", "right/a.jpg", "right/b.b.jpg"])
     assert found["left/a"] == "left/a.jpg"
     assert found["b.b"] == found["b.b.jpg"] == "right/b.b.jpg"

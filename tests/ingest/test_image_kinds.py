@@ -1,7 +1,5 @@
 """Photographs and the tables beside them are known by their content, and a new campaign lists them."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 import yaml
@@ -27,7 +25,7 @@ TEXTS = {
 
 
 @pytest.mark.parametrize("kind", TEXTS)
-def test_tables_are_known_and_described(tmp_path: Path, kind: str) -> None:
+def test_tables_are_known_and_described(tmp_path, kind):
     path = tmp_path / "whatever.bin"
     path.write_text(TEXTS[kind])
     assert recognise(path) == kind
@@ -35,7 +33,7 @@ def test_tables_are_known_and_described(tmp_path: Path, kind: str) -> None:
     assert "logs.time_lapse" in text
 
 
-def test_metashape_reference_pane(tmp_path: Path) -> None:
+def test_metashape_reference_pane(tmp_path):
     path = tmp_path / "markers.txt"
     path.write_text(
         '#CoordinateSystem: PROJCS["x"]\n#Label,X/East,Y/North,Z/Altitude,Accuracy_(m)\nA,1,2,3,0.1\n'
@@ -44,7 +42,7 @@ def test_metashape_reference_pane(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("ending", ["jpg", "png", "tif"])
-def test_photographs_are_known_and_described(tmp_path: Path, ending: str) -> None:
+def test_photographs_are_known_and_described(tmp_path, ending):
     path = tmp_path / f"R20210512_085950687.{ending}"
     Image.fromarray(np.zeros((12, 16, 3), np.uint8)).save(path)
     anonymous = tmp_path / "x"
@@ -56,7 +54,7 @@ def test_photographs_are_known_and_described(tmp_path: Path, ending: str) -> Non
 
 
 @pytest.mark.parametrize("text", ["a,b,c\n1,2,3\n", "name,value\nx,1\n", "hello\n"])
-def test_other_tables_are_not_taken_for_control_points(tmp_path: Path, text: str) -> None:
+def test_other_tables_are_not_taken_for_control_points(tmp_path, text):
     path = tmp_path / "t.csv"
     path.write_text(text)
     with pytest.raises(InputError, match="unrecognised file"):
@@ -73,7 +71,7 @@ TRACK = (
 """With a track photographs are those of a boat."""
 
 
-def _logs(folder: Path) -> None:
+def _logs(folder):
     (folder / "raw" / "photos").mkdir(parents=True)
     (folder / "raw" / "masks").mkdir()
     for k in (2, 10, 1):
@@ -83,9 +81,7 @@ def _logs(folder: Path) -> None:
         Image.fromarray(np.zeros((8, 8), np.uint8)).save(folder / "raw" / "masks" / f"IMG_{k}.JPG.png")
 
 
-def test_a_new_campaign_knows_photographs_and_control_points(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_new_campaign_knows_photographs_and_control_points(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     _logs(tmp_path)
     (tmp_path / "raw" / "targets.csv").write_text(TEXTS["control_points"])
@@ -104,9 +100,7 @@ def test_a_new_campaign_knows_photographs_and_control_points(
     assert "images" not in written
 
 
-def test_without_control_points_the_antenna_takes_their_place(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_control_points_the_antenna_takes_their_place(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     _logs(tmp_path)
     (tmp_path / "raw" / "ppk.pos").write_text(TRACK)

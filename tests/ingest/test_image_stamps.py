@@ -1,10 +1,10 @@
 """Times of photographs: from names, EXIF and tables, with everything that is wrong told."""
 
 import warnings
-from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from PIL import Image
 
 from thalweg.core import ClockError, InputError, gps_from_unix, read_table, write_table
@@ -17,13 +17,7 @@ UNIX = 1_620_808_267  # 2021-05-12T08:31:07Z
 T0 = float(gps_from_unix(UNIX))
 
 
-def photo(
-    path: Path,
-    when: str | None = None,
-    fraction: str | None = None,
-    offset: str | None = None,
-    size: tuple[int, int] = (32, 24),
-) -> Path:
+def photo(path, when=None, fraction=None, offset=None, size=(32, 24)):
     """A small JPEG with the EXIF tags that are given."""
     exif = Image.Exif()
     exif[0x010F], exif[0x0110] = "Panasonic", "DMC-GX80"
@@ -50,9 +44,8 @@ def photo(
         ("frame_1620808267.123456", UNIX + 0.123456, 1e-6),
     ],
 )
-def test_usual_names(stem: str, seconds: float, resolution: float) -> None:
+def test_usual_names(stem, seconds, resolution):
     stamp = stamp_from_name(stem)
-    assert stamp is not None
     # a Unix time in float64 resolves 240 ns
     assert stamp.shown_s == pytest.approx(seconds, abs=3e-7)
     assert stamp.resolution_s == pytest.approx(resolution)
@@ -62,19 +55,17 @@ def test_usual_names(stem: str, seconds: float, resolution: float) -> None:
 @pytest.mark.parametrize(
     "stem", ["IMG_0042", "20211312_083107", "P1000123", "20210512_253107", "boat", "2021"]
 )
-def test_names_without_a_time(stem: str) -> None:
+def test_names_without_a_time(stem):
     assert stamp_from_name(stem) is None
 
 
-def test_a_burst_counter_is_no_fraction() -> None:
+def test_a_burst_counter_is_no_fraction():
     stamp = stamp_from_name("IMG_20210512_083107_1")
-    assert stamp is not None
     assert stamp.resolution_s == 1.0
 
 
-def test_a_pattern_of_the_user() -> None:
+def test_a_pattern_of_the_user():
     stamp = stamp_from_name("boat 12.05.2021 08h31m07,5", "*%d.%m.%Y %Hh%Mm%S,%f")
-    assert stamp is not None
     assert (stamp.shown_s, stamp.resolution_s) == (UNIX + 0.5, 0.1)
     assert stamp_from_name("IMG_20210512_083107", "X%Y%m%d%H%M%S") is None
 
@@ -82,12 +73,12 @@ def test_a_pattern_of_the_user() -> None:
 @pytest.mark.parametrize(
     ("pattern", "word"), [("%H%M%S", "no full time"), ("%Y%Q", "'%Q'"), ("%Y%Y%m%d%H%M%S", "twice")]
 )
-def test_unusable_patterns_are_told(pattern: str, word: str) -> None:
+def test_unusable_patterns_are_told(pattern, word):
     with pytest.raises(InputError, match=word):
         compile_pattern(pattern)
 
 
-def test_exif_with_sub_seconds_and_zone(tmp_path: Path) -> None:
+def test_exif_with_sub_seconds_and_zone(tmp_path):
     head = read_head(photo(tmp_path / "a.jpg", "2021:05:12 10:31:07", "025", "+02:00"))
     assert head.stamp == CivilStamp(
         second_s=UNIX + 7200, fraction_s=0.025, resolution_s=1e-3, utc_offset_s=7200.0
@@ -104,18 +95,17 @@ def test_exif_with_sub_seconds_and_zone(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "when", [None, "0000:00:00 00:00:00", "    :  :     :  :  ", "2021:02:30 08:00:00", "1970:01:01 00:00:00"]
 )
-def test_exif_dates_that_are_none(when: str | None) -> None:
+def test_exif_dates_that_are_none(when):
     assert stamp_from_exif(when) is None
 
 
-def test_an_absent_sub_second_is_a_resolution_of_a_second() -> None:
+def test_an_absent_sub_second_is_a_resolution_of_a_second():
     stamp = stamp_from_exif("2021:05:12 08:31:07", "  ")
-    assert stamp is not None
     assert stamp.resolution_s == 1.0
     assert offset_seconds("+99:00") is None
 
 
-def test_a_folder_of_names_in_ms(tmp_path: Path) -> None:
+def test_a_folder_of_names_in_ms(tmp_path):
     for k in range(5):
         photo(
             tmp_path / f"R20210512_0831{7 + k:02d}{100 + k}.jpg",
@@ -126,7 +116,7 @@ def test_a_folder_of_names_in_ms(tmp_path: Path) -> None:
     found = read_image_stamps(tmp_path)
     expected = T0 + np.arange(5) + 0.1 + 0.001 * np.arange(5)
     # 3e-7 s: a Unix time in float64
-    np.testing.assert_allclose(found.table["t_device_s"], expected, atol=3e-7)
+    assert_allclose(found.table["t_device_s"], expected, atol=3e-7)
     assert set(found.table["source"]) == {"name"}
     assert found.report.clean
     assert found.report.model == "Panasonic DMC-GX80"
@@ -136,14 +126,14 @@ def test_a_folder_of_names_in_ms(tmp_path: Path) -> None:
     assert again["file"].tolist() == found.table["file"].tolist()
 
 
-def test_exif_wins_where_names_hold_whole_seconds_only(tmp_path: Path) -> None:
+def test_exif_wins_where_names_hold_whole_seconds_only(tmp_path):
     photo(tmp_path / "20210512_083107.jpg", "2021:05:12 08:31:07", "25")
     found = read_image_stamps(tmp_path)
     assert found.table["source"].tolist() == ["exif"]
     assert found.table["t_device_s"][0] == pytest.approx(T0 + 0.25, abs=3e-7)
 
 
-def test_local_time_needs_its_offset(tmp_path: Path) -> None:
+def test_local_time_needs_its_offset(tmp_path):
     photo(tmp_path / "a.jpg", "2021:05:12 10:31:07", "0")
     as_utc, as_local = (read_image_stamps(tmp_path, utc_offset=zone) for zone in (None, "+02:00"))
     assert as_utc.table["t_device_s"][0] - as_local.table["t_device_s"][0] == 7200.0
@@ -152,7 +142,7 @@ def test_local_time_needs_its_offset(tmp_path: Path) -> None:
         read_image_stamps(tmp_path, utc_offset="summer")
 
 
-def test_names_in_local_time_against_exif_in_utc_are_named_not_corrected(tmp_path: Path) -> None:
+def test_names_in_local_time_against_exif_in_utc_are_named_not_corrected(tmp_path):
     for k in range(3):
         photo(tmp_path / f"IMG_20210512_10310{k}_500.jpg", f"2021:05:12 08:31:0{k}", "500", "+00:00")
     found = read_image_stamps(tmp_path)
@@ -161,7 +151,7 @@ def test_names_in_local_time_against_exif_in_utc_are_named_not_corrected(tmp_pat
     assert found.table["t_device_s"][0] == pytest.approx(T0 - 7 + 7200.5, abs=3e-7)
 
 
-def test_what_is_missing_double_or_out_of_order_is_named(tmp_path: Path) -> None:
+def test_what_is_missing_double_or_out_of_order_is_named(tmp_path):
     Image.new("RGB", (8, 8)).save(tmp_path / "IMG_2.jpg")  # no time
     (tmp_path / "IMG_3.jpg").write_bytes(b"not an image")
     (tmp_path / "IMG_4.jpg").write_bytes(b"")
@@ -180,7 +170,7 @@ def test_what_is_missing_double_or_out_of_order_is_named(tmp_path: Path) -> None
     assert np.isnan(found.table["t_device_s"].to_numpy()[-3:]).all()
 
 
-def test_mixed_sources_are_counted(tmp_path: Path) -> None:
+def test_mixed_sources_are_counted(tmp_path):
     photo(tmp_path / "R20210512_083107000.jpg")
     photo(tmp_path / "retake.jpg", "2021:05:12 08:31:09", "000")
     found = read_image_stamps(tmp_path)
@@ -188,21 +178,21 @@ def test_mixed_sources_are_counted(tmp_path: Path) -> None:
     assert any("mixed sources: 1 from name, 1 from exif" in note for note in found.report.notes)
 
 
-def test_a_hole_is_a_gap_with_the_number_of_images(tmp_path: Path) -> None:
+def test_a_hole_is_a_gap_with_the_number_of_images(tmp_path):
     for k in (0, 1, 2, 3, 7, 8):
         photo(tmp_path / f"R20210512_08310{k}000.jpg")
     (gap,) = read_image_stamps(tmp_path).report.gaps
     assert (gap.duration_s, gap.lost) == (4.0, 3)
 
 
-def test_a_table_of_times(tmp_path: Path) -> None:
+def test_a_table_of_times(tmp_path):
     for name in ("a.jpg", "b.jpg", "c.jpg"):
         photo(tmp_path / name)
     (tmp_path / "times.csv").write_text(
         "file,time_utc\na.jpg,2021-05-12T08:31:07.125Z\nb.jpg,2021-05-12T10:31:08.5+02:00\nd.jpg,2021-05-12T08:31:09Z\n"
     )
     found = read_image_stamps(list_images(tmp_path), times=tmp_path / "times.csv")
-    np.testing.assert_allclose(found.table["t_device_s"][:2], [T0 + 0.125, T0 + 1.5], atol=3e-7)
+    assert_allclose(found.table["t_device_s"][:2], [T0 + 0.125, T0 + 1.5], atol=3e-7)
     assert found.report.losses == {"table_rows_without_image": 1, "images_without_time": 1}
     (tmp_path / "gps.csv").write_text(f"file;t_gps_s\na.jpg;{T0 + 0.5}\n")
     stamp = read_time_table(tmp_path / "gps.csv")["a.jpg"]
@@ -219,13 +209,13 @@ def test_a_table_of_times(tmp_path: Path) -> None:
         ("file,unix_s\n,1620808267\n", "without file name"),
     ],
 )
-def test_unusable_tables_are_told_with_their_line(tmp_path: Path, text: str, word: str) -> None:
+def test_unusable_tables_are_told_with_their_line(tmp_path, text, word):
     (tmp_path / "t.csv").write_text(text)
     with pytest.raises(InputError, match=word):
         read_time_table(tmp_path / "t.csv")
 
 
-def test_no_time_at_all_ends_with_a_cure(tmp_path: Path) -> None:
+def test_no_time_at_all_ends_with_a_cure(tmp_path):
     Image.new("RGB", (8, 8)).save(tmp_path / "a.jpg")
     with pytest.raises(ClockError, match=r"none of 1 images has a time.*pattern"):
         read_image_stamps(tmp_path)
@@ -236,7 +226,7 @@ def test_no_time_at_all_ends_with_a_cure(tmp_path: Path) -> None:
         read_image_stamps(tmp_path / "empty")
 
 
-def test_damaged_exif_is_read_as_far_as_it_goes(tmp_path: Path) -> None:
+def test_damaged_exif_is_read_as_far_as_it_goes(tmp_path):
     whole = photo(tmp_path / "R20210512_083107000.jpg", "2021:05:12 08:31:07", "5").read_bytes()
     rng = np.random.default_rng(1)
     for k in range(40):
@@ -271,6 +261,6 @@ def test_damaged_exif_is_read_as_far_as_it_goes(tmp_path: Path) -> None:
         (0.0, ""),
     ],
 )
-def test_shifts_are_named(shift: float, words: str) -> None:
+def test_shifts_are_named(shift, words):
     found = explain_shift(shift)
     assert (words in found) if words else found == ""

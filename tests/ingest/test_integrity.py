@@ -1,7 +1,6 @@
 """What a reader's report counts, says and keeps, by hand."""
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -11,11 +10,11 @@ from thalweg.core import gps_from_week
 from thalweg.ingest import Gap, IntegrityReport, find_gaps
 
 
-def hole(start_s: float, duration_s: float, lost: int) -> Gap:
+def hole(start_s, duration_s, lost):
     return Gap(t_start_s=start_s, duration_s=duration_s, lost=lost)
 
 
-def test_times_of_a_stream_give_span_rate_gaps_and_steps_back() -> None:
+def test_times_of_a_stream_give_span_rate_gaps_and_steps_back():
     report = IntegrityReport(stream="ins", format="log", files=["a.log"])
     # a step of 0.5 s, one of 0.5 - 0.1 backwards, one twice; a row without a time
     t = 100.0 + np.array([0.0, 0.1, 0.2, 0.7, 0.6, 0.6, 0.7, 0.8, np.nan])
@@ -44,9 +43,7 @@ def test_times_of_a_stream_give_span_rate_gaps_and_steps_back() -> None:
         ([0, np.nan, 1, 2, 5], [(2, 3, 2)]),
     ],
 )
-def test_gaps_are_steps_of_more_than_one_and_a_half(
-    t: list[float], gaps: list[tuple[float, float, int]]
-) -> None:
+def test_gaps_are_steps_of_more_than_one_and_a_half(t, gaps):
     found = [(g.t_start_s, g.duration_s, g.lost) for g in find_gaps(t)]
     assert len(found) == len(gaps)
     np.testing.assert_allclose(found, gaps)
@@ -54,7 +51,7 @@ def test_gaps_are_steps_of_more_than_one_and_a_half(
         assert find_gaps(t, factor=9.0) == []
 
 
-def test_a_report_in_words_and_as_a_file(tmp_path: Path) -> None:
+def test_a_report_in_words_and_as_a_file(tmp_path):
     t0 = float(gps_from_week(2300, 100_000.0))
     report = IntegrityReport(
         stream="ins",
@@ -109,7 +106,7 @@ def test_a_report_in_words_and_as_a_file(tmp_path: Path) -> None:
     assert not IntegrityReport(stream="gnss", format="log", files=[], gaps=[hole(0.0, 1.0, 1)]).clean
 
 
-def test_rows_of_overlapping_files_are_kept_once_and_counted() -> None:
+def test_rows_of_overlapping_files_are_kept_once_and_counted():
     report = IntegrityReport(stream="gnss", format="log", files=[])
     table = pd.DataFrame(
         {"t_gps_s": [1.0, 2.0, 2.0, 1.0, 2.0, 3.0], "h": [5.0, np.nan, np.nan, 5.0, np.nan, 5.0]}

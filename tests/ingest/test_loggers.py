@@ -1,8 +1,6 @@
 """Tables that loggers write: Deeper's export, a track, depths, and which table is which."""
 
 from functools import partial
-from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -29,11 +27,11 @@ TRACK = """Timestamp;Longitude;Latitude;EllipsoidalHeight;Status
 """
 
 
-def deeper(rows: int) -> str:
+def deeper(rows):
     return "".join(f"{35.0 + k * 1e-4},139.5,{k % 7}.5,29.0,{UNIX_MS + 2000 * k}\n" for k in range(rows))
 
 
-def test_a_deeper_export_gives_depths_and_a_track(tmp_path: Path) -> None:
+def test_a_deeper_export_gives_depths_and_a_track(tmp_path):
     path = tmp_path / "depths.csv"
     path.write_text(
         deeper(20) + "35.1,139.5,0,29.0,1722032348825\n35.1,139.5,12000,29.0,1722032350825\nbroken\n",
@@ -48,19 +46,19 @@ def test_a_deeper_export_gives_depths_and_a_track(tmp_path: Path) -> None:
     assert (log.report.counts["pings"], log.report.losses["bad_lines"]) == (22, 1)
     assert log.report.counts["pings_without_bottom"] == 2, "no sea is so deep"
     assert log.soundings["depth_m"].tolist() == [k % 7 + 0.5 for k in range(20)]
-    table, _ = read_positions("pos", [path], **POSITIONS)  # type: ignore[arg-type]
+    table, _ = read_positions("pos", [path], **POSITIONS)
     assert table["t_gps_s"].iloc[3] == pytest.approx(float(gps_from_unix(UNIX_MS / 1000 + 6.0)))
     assert (table["lat_deg"].iloc[3], table["fix"].iloc[3]) == (35.0003, "single")
 
 
-def test_points_are_no_deeper_export(tmp_path: Path) -> None:
+def test_points_are_no_deeper_export(tmp_path):
     """Five columns of a cloud: no milliseconds of this century stand in the last one."""
     path = tmp_path / "cloud.csv"
     path.write_text("35.16,139.61,11.3,29.0,12\n" * 20, encoding="utf-8")
     assert recognise(path) == "xyz"
 
 
-def test_a_track_and_depths_in_tables(tmp_path: Path) -> None:
+def test_a_track_and_depths_in_tables(tmp_path):
     """A row without a value is counted; the heights are ellipsoidal because the column says so."""
     track, sonar = tmp_path / "gnss.txt", tmp_path / "sonar.txt"
     track.write_text(TRACK, encoding="utf-8")
@@ -69,17 +67,16 @@ def test_a_track_and_depths_in_tables(tmp_path: Path) -> None:
     )
     assert (recognise(track), recognise(sonar)) == ("track_table", "depth_table")
     assert (stream_of("track_table", track), stream_of("depth_table", sonar)) == ("pos", "depth")
-    table, report = read_positions("pos", [track], **POSITIONS)  # type: ignore[arg-type]
+    table, report = read_positions("pos", [track], **POSITIONS)
     assert (len(table), report.losses) == (2, {"rows_without_values": 1})
     assert table[["lat_deg", "lon_deg", "h_ell_m"]].iloc[1].tolist() == [48.25, -68.25, 21.0]
     assert table["t_gps_s"].diff().iloc[1] == 2.0
     # heights of nothing stated are none
     track.write_text(TRACK.replace("EllipsoidalHeight", "Height"), encoding="utf-8")
-    table, report = read_positions("pos", [track], **POSITIONS)  # type: ignore[arg-type]
+    table, report = read_positions("pos", [track], **POSITIONS)
     assert table["h_ell_m"].isna().tolist() == [True, True]
     assert "No column of ellipsoidal heights: positions have none." in report.notes
     depths = read_depths([sonar]).depths
-    assert depths is not None
     assert depths["depth_m"].tolist() == pytest.approx([3.048])
     assert any("times state no zone" in note for note in describe(sonar).notes)
     track.write_text(TRACK[: TRACK.index("2022")] + "never;1;2;3;4\n", encoding="utf-8")
@@ -96,13 +93,13 @@ def test_a_track_and_depths_in_tables(tmp_path: Path) -> None:
         ("lat,lon,depth", "table"),
     ],
 )
-def test_other_tables_are_no_logs(tmp_path: Path, head: str, kind: str) -> None:
+def test_other_tables_are_no_logs(tmp_path, head, kind):
     path = tmp_path / "a.csv"
     path.write_text(head + "\n" + ",".join("1" for _ in head.split(",")) + "\n", encoding="utf-8")
     assert recognise(path) == kind
 
 
-def test_damaged_exports_are_read_or_refused(tmp_path: Path, fuzz: Any) -> None:
+def test_damaged_exports_are_read_or_refused(tmp_path, fuzz):
     read = partial(read_deeper, options=TrackOptions())
     for _, log in read_or_refused(fuzz, tmp_path / "fuzz.csv", read, deeper(60).encode()):
         assert log.depths["depth_m"].abs().max() < 11_034
@@ -110,7 +107,7 @@ def test_damaged_exports_are_read_or_refused(tmp_path: Path, fuzz: Any) -> None:
 
 
 @pytest.mark.real
-def test_real_loggers(data_dir: Path) -> None:
+def test_real_loggers(data_dir):
     """Rows, limits and times as pandas reads them (README of each folder)."""
     today = data_dir / "today"
     log = read_deeper([next((today / "deeper_csv").glob("*.csv"))], TrackOptions())
@@ -124,10 +121,9 @@ def test_real_loggers(data_dir: Path) -> None:
     (gnss,), (sonar,) = (
         list((today / "hydroblock_gnss_sonar").glob(f"*_{n}.txt")) for n in ("gnss", "sonar")
     )
-    table, _ = read_positions("pos", [gnss], **POSITIONS)  # type: ignore[arg-type]
+    table, _ = read_positions("pos", [gnss], **POSITIONS)
     assert (len(table), table["h_ell_m"].min(), table["h_ell_m"].max()) == (3601, 20.3, 25.0)
     depths = read_depths([sonar]).depths
-    assert depths is not None
     depth = depths["depth_m"]
     assert (len(depth), depth.min(), depth.max(), depth.median()) == (3594, 2.1, 4.9, 4.6)
     for name, kind in (("test.DAT", "humminbird"), ("B000.SON", "humminbird"), ("B000.IDX", "humminbird")):

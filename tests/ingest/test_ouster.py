@@ -25,7 +25,7 @@ def sdk():
 
 
 @pytest.mark.real
-def test_files_are_known_by_content(data_dir: Path) -> None:
+def test_files_are_known_by_content(data_dir):
     assert recognise(data_dir / f"{OS0}.pcap") == "ouster"
     assert recognise(data_dir / f"{OS1}_lb_n3.pcap") == "ouster"
     assert recognise(data_dir / BARE) == "ouster"
@@ -34,7 +34,7 @@ def test_files_are_known_by_content(data_dir: Path) -> None:
 
 
 @pytest.mark.real
-def test_returns_and_times_of_an_os0(data_dir: Path, sdk) -> None:
+def test_returns_and_times_of_an_os0(data_dir, sdk):
     reader = lidar_reader([data_dir / f"{OS0}.json", data_dir / f"{OS0}.pcap"])
     scan = reader.scan()
     assert scan.model == "OS-0-32-U1"
@@ -56,7 +56,7 @@ def test_returns_and_times_of_an_os0(data_dir: Path, sdk) -> None:
 
 
 @pytest.mark.real
-def test_frames_of_an_os1_and_their_points(data_dir: Path, sdk) -> None:
+def test_frames_of_an_os1_and_their_points(data_dir, sdk):
     """The metadata is found beside the capture, by the begin of its name."""
     from ouster.sdk import core, pcap
 
@@ -84,13 +84,13 @@ def test_frames_of_an_os1_and_their_points(data_dir: Path, sdk) -> None:
 
 
 @pytest.mark.real
-def test_a_capture_without_metadata_is_refused(data_dir: Path) -> None:
+def test_a_capture_without_metadata_is_refused(data_dir):
     with pytest.raises(InputError, match="no metadata files beside an Ouster capture"):
         ouster.metadata_of([data_dir / BARE])
 
 
 @pytest.mark.real
-def test_metadata_of_another_sensor_are_refused(data_dir: Path, tmp_path: Path, sdk) -> None:
+def test_metadata_of_another_sensor_are_refused(data_dir, tmp_path, sdk):
     shutil.copy(data_dir / BARE, tmp_path / "os1.pcap")
     shutil.copy(data_dir / f"{OS0}.json", tmp_path / "os1.json")
     with pytest.raises(InputError):
@@ -98,7 +98,7 @@ def test_metadata_of_another_sensor_are_refused(data_dir: Path, tmp_path: Path, 
 
 
 @pytest.mark.real
-def test_capture_that_cut_its_packets_is_named(data_dir: Path, tmp_path: Path, sdk) -> None:
+def test_capture_that_cut_its_packets_is_named(data_dir, tmp_path, sdk):
     shutil.copy(data_dir / f"{OS0}.json", tmp_path / "cut.json")
     with (data_dir / f"{OS0}.pcap").open("rb") as whole, (tmp_path / "cut.pcap").open("wb") as short:
         writer = dpkt.pcap.Writer(short)
@@ -108,7 +108,7 @@ def test_capture_that_cut_its_packets_is_named(data_dir: Path, tmp_path: Path, s
         lidar_reader([tmp_path / "cut.pcap"]).scan()
 
 
-def test_without_the_sdk_the_command_that_adds_it_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_the_sdk_the_command_that_adds_it_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "ouster.sdk", None)
     with pytest.raises(UnsupportedError, match="its reader is not installed") as caught:
         ouster.OusterReader(files=[Path("os1.pcap")], options=LidarOptions()).scan()
@@ -128,7 +128,7 @@ def test_without_the_sdk_the_command_that_adds_it_is_named(monkeypatch: pytest.M
         ("", 0, 0.0, "none"),
     ],
 )
-def test_clocks(mode: str, leap_s: int, ahead_s: float, gps_minus_stamp: str) -> None:
+def test_clocks(mode, leap_s, ahead_s, gps_minus_stamp):
     """The host's stamps are UTC of one moment; the sensor's are ``ahead_s`` ahead of it."""
     utc = 1_700_000_000.0
     stamp = utc + ahead_s
@@ -148,7 +148,7 @@ def test_clocks(mode: str, leap_s: int, ahead_s: float, gps_minus_stamp: str) ->
     assert float(gps_minus_utc(utc)) == 18.0
 
 
-def test_damaged_metadata(tmp_path: Path) -> None:
+def test_damaged_metadata(tmp_path):
     path = tmp_path / "a.json"
     path.write_text('{"beam_altitude_angles": [1], "lidar_origin_to_beam_origin_mm": ')
     assert recognise(path) == "ouster_metadata"

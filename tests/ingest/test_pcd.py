@@ -1,9 +1,8 @@
 """PCD clouds: good ones, cut and damaged ones, and what is refused."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 
 from thalweg.core import InputError
 from thalweg.ingest.clouds import read_cloud
@@ -23,21 +22,21 @@ DATA ascii
 BODY = "1.5 2 3 10 0\n-1 0.5 2.25 20 8\nnan nan nan 0 15\n"
 
 
-def written(tmp_path: Path, text: str) -> Path:
+def written(tmp_path, text):
     path = tmp_path / "a.pcd"
     path.write_text(text)
     return path
 
 
-def test_points_and_fields(tmp_path: Path) -> None:
+def test_points_and_fields(tmp_path):
     cloud = read_cloud(written(tmp_path, HEAD + BODY))
-    np.testing.assert_array_equal(cloud.points, [[1.5, 2, 3], [-1, 0.5, 2.25]])
-    np.testing.assert_array_equal(cloud.intensity, [10, 20])
-    np.testing.assert_array_equal(cloud.ring, [0, 8])
+    assert_array_equal(cloud.points, [[1.5, 2, 3], [-1, 0.5, 2.25]])
+    assert_array_equal(cloud.intensity, [10, 20])
+    assert_array_equal(cloud.ring, [0, 8])
     assert cloud.report.losses == {"points_not_finite": 1}
 
 
-def test_the_binary_form_with_padding_is_read_alike(tmp_path: Path) -> None:
+def test_the_binary_form_with_padding_is_read_alike(tmp_path):
     """As PCL pads: a field without a meaning between, of several values, twice."""
     fields = [("xyz", "<f4", 3), ("a", "u1", 4), ("intensity", "<f4"), ("ring", "<u2"), ("b", "u1", 2)]
     rows = np.zeros(3, fields)
@@ -53,9 +52,9 @@ def test_the_binary_form_with_padding_is_read_alike(tmp_path: Path) -> None:
     path = tmp_path / "a.pcd"
     path.write_bytes(head.encode() + rows.tobytes())
     cloud = read_cloud(path)
-    np.testing.assert_array_equal(cloud.points, [[1.5, 2, 3], [-1, 0.5, 2.25]])
-    np.testing.assert_array_equal(cloud.intensity, [10, 20])
-    np.testing.assert_array_equal(cloud.ring, [0, 8])
+    assert_array_equal(cloud.points, [[1.5, 2, 3], [-1, 0.5, 2.25]])
+    assert_array_equal(cloud.intensity, [10, 20])
+    assert_array_equal(cloud.ring, [0, 8])
     path.write_bytes(head.encode() + rows.tobytes()[:-1])
     assert read_cloud(path).report.losses == {"points_missing": 1}
 
@@ -69,10 +68,10 @@ def test_the_binary_form_with_padding_is_read_alike(tmp_path: Path) -> None:
     ],
     ids=["cut", "short line", "word"],
 )
-def test_what_is_missing_or_damaged_is_counted(tmp_path: Path, text: str, losses: dict[str, int]) -> None:
+def test_what_is_missing_or_damaged_is_counted(tmp_path, text, losses):
     cloud = read_cloud(written(tmp_path, text))
     assert cloud.report.losses == losses
-    np.testing.assert_array_equal(cloud.points[0], [1.5, 2, 3])
+    assert_array_equal(cloud.points[0], [1.5, 2, 3])
 
 
 @pytest.mark.parametrize(
@@ -87,7 +86,7 @@ def test_what_is_missing_or_damaged_is_counted(tmp_path: Path, text: str, losses
     ],
     ids=["no coordinates", "no points", "sizes", "words", "no data", "compressed"],
 )
-def test_bad_files_are_told(tmp_path: Path, text: str, message: str) -> None:
+def test_bad_files_are_told(tmp_path, text, message):
     with pytest.raises(InputError, match=message) as caught:
         read_cloud(written(tmp_path, text))
     assert "a.pcd" in str(caught.value)

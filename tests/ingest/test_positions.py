@@ -1,21 +1,19 @@
 """The sources of positions that a campaign can choose."""
 
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from thalweg.core import InputError, gps_from_unix, write_table
 from thalweg.ingest import DEPTH, GNSS_POSITION, INS_STATE
 from thalweg.ingest.registry import choose_tracks, read_depths, read_positions, recognise
 from thalweg.ingest.registry.positions import positions_from_states
 
-NOTHING: dict[str, Any] = {"base": [], "nav": [], "ppk": {}, "base_position": {}}
+NOTHING = {"base": [], "nav": [], "ppk": {}, "base_position": {}}
 
 
-def states() -> pd.DataFrame:
+def states():
     n = 5
     table = pd.DataFrame({name: np.arange(n, dtype=float) for name in INS_STATE.names})
     return table.assign(
@@ -23,22 +21,22 @@ def states() -> pd.DataFrame:
     )
 
 
-def test_positions_inside_ins_states(tmp_path: Path) -> None:
+def test_positions_inside_ins_states(tmp_path):
     write_table(tmp_path / "states.parquet", states(), INS_STATE)
     table, report = read_positions("ins", [], states=tmp_path / "states.parquet", **NOTHING)
     assert report.stream == "positions"
     assert report.synchronised
     assert (report.t_first_s, report.t_last_s) == (3e8, 3e8 + 4)
-    np.testing.assert_array_equal(table["lat_deg"], np.arange(5.0))
+    assert_array_equal(table["lat_deg"], np.arange(5.0))
     write_table(tmp_path / "positions.parquet", table, GNSS_POSITION)
 
 
-def test_an_unknown_source_is_answered_with_the_known_ones(tmp_path: Path) -> None:
+def test_an_unknown_source_is_answered_with_the_known_ones(tmp_path):
     with pytest.raises(InputError, match="'gps'; expected pos, sbp, nmea, gpx, ppk, sbet or ins"):
         read_positions("gps", [], states=tmp_path / "x", **NOTHING)
 
 
-def test_an_indefinite_covariance_does_not_pass(tmp_path: Path) -> None:
+def test_an_indefinite_covariance_does_not_pass(tmp_path):
     names = "latitude(deg) longitude(deg) height(m) Q ns sdn(m) sde(m) sdu(m) sdne(m) sdeu(m) sdun(m) age(s)"
     lines = [f"%  GPST                  {names} ratio"]
     for second in range(20):
@@ -51,11 +49,11 @@ def test_an_indefinite_covariance_does_not_pass(tmp_path: Path) -> None:
     table, report = read_positions("pos", [path], states=tmp_path / "x", **NOTHING)
     assert report.counts["covariances_replaced"] == 1
     assert table["cov_en_m2"].abs().max() < 1e-6
-    np.testing.assert_allclose(positions_from_states(states())["sigma_up_m"], np.arange(5.0))
+    assert_allclose(positions_from_states(states())["sigma_up_m"], np.arange(5.0))
 
 
-def test_of_tracks_of_the_same_time_the_best_is_taken(tmp_path: Path) -> None:
-    def track(name: str, first: int, quality: int) -> Path:
+def test_of_tracks_of_the_same_time_the_best_is_taken(tmp_path):
+    def track(name, first, quality):
         lines = [
             f"2021/05/12 08:31:{first + k:02d}.0 51.05{k * k:03d} 13.25 300.0 {quality} 12 .02 .02 .03"
             " 0 0 0 0 9"
@@ -71,7 +69,7 @@ def test_of_tracks_of_the_same_time_the_best_is_taken(tmp_path: Path) -> None:
 
 
 @pytest.mark.real
-def test_ppk_through_the_sections_of_a_campaign(data_dir: Path, tmp_path: Path) -> None:
+def test_ppk_through_the_sections_of_a_campaign(data_dir, tmp_path):
     log = data_dir / "sbp_piksi_rtk_2017/2017-05-12-v1.1.26.sbp"
     table, report = read_positions(
         "ppk",
@@ -96,7 +94,7 @@ GPX = """<?xml version="1.0" encoding="UTF-8"?>
 """
 
 
-def test_a_track_in_gpx(tmp_path: Path) -> None:
+def test_a_track_in_gpx(tmp_path):
     """Ellipsoidal heights where the file says how high the geoid is; a point without a time is counted."""
     path = tmp_path / "track.xml"
     for more, heights in (
@@ -108,7 +106,7 @@ def test_a_track_in_gpx(tmp_path: Path) -> None:
         table, report = read_positions("gpx", [path], states=None, **NOTHING)
         assert table["t_gps_s"].tolist() == gps_from_unix([1_620_810_000, 1_620_810_001]).tolist()
         assert table["lat_deg"].tolist() == [51.05, 51.05001]
-        np.testing.assert_allclose(table["h_ell_m"], heights)
+        assert_allclose(table["h_ell_m"], heights)
         assert table["fix"].tolist() == ["dgnss" if more else "single"] * 2
         assert table["n_sats"].tolist() == [9, -1]
         assert report.losses == {"track_points_without_time": 1}
@@ -118,14 +116,14 @@ def test_a_track_in_gpx(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "text", ["<gpx><trk>", "<gpx><rte/></gpx>", GPX.format(more="").replace("51.05", "x")]
 )
-def test_a_gpx_without_a_track_is_refused(tmp_path: Path, text: str) -> None:
+def test_a_gpx_without_a_track_is_refused(tmp_path, text):
     path = tmp_path / "track.gpx"
     path.write_text(text)
     with pytest.raises(InputError, match=r"no readable GPX|no XML|no track point with a time"):
         read_positions("gpx", [path], states=None, **NOTHING)
 
 
-def test_depths_zones_and_waypoints_of_gpx(tmp_path: Path) -> None:
+def test_depths_zones_and_waypoints_of_gpx(tmp_path):
     """Extensions of two programs, one in feet; a time without zone; a place that is no track."""
     path = tmp_path / "track.gpx"
     extension = '<extensions><x:e xmlns:x="{uri}"><x:{tag}>{value}</x:{tag}></x:e></extensions>'

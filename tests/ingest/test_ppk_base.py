@@ -4,11 +4,11 @@ import json
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.testing import assert_allclose
 
 from tests.ingest.writers import files_of, sbp
 from thalweg.core import InputError, ecef_of, read_table, rotation_ecef_enu
@@ -23,7 +23,7 @@ BASE = ecef_of(*PLACE)
 EAST, NORTH, UP = rotation_ecef_enu(*PLACE[:2]).T
 
 
-def inputs(**more: Any) -> Any:
+def inputs(**more):
     """What the scans of the files would tell: one base whose header has an antenna offset."""
     scan = SimpleNamespace(
         antenna_delta_hen_m=(1.5, 0.25, 0.5), approx_ecef_m=BASE, version="3.04", text=lambda *_: "Piksi"
@@ -33,7 +33,7 @@ def inputs(**more: Any) -> Any:
     return SimpleNamespace(**(known | times | more))
 
 
-def positions(away_m: np.ndarray, fix: list[str]) -> pd.DataFrame:
+def positions(away_m, fix):
     """Positions so far east, north and up of the base (n, 3), about (flat earth)."""
     lat = PLACE[0] + away_m[:, 1] / 111_250.0
     lon = PLACE[1] + away_m[:, 0] / 70_200.0
@@ -75,14 +75,14 @@ def positions(away_m: np.ndarray, fix: list[str]) -> pd.DataFrame:
         ),
     ],
 )  # fmt: skip
-def test_the_base_stands_where_it_is_stated(options: dict, expected: np.ndarray, words: str | None) -> None:
+def test_the_base_stands_where_it_is_stated(options, expected, words):
     found, notes = _base_position(inputs(), PpkOptions(**options), Path("base.obs"))
-    np.testing.assert_allclose(found, expected, atol=1e-6)
+    assert_allclose(found, expected, atol=1e-6)
     assert len(notes) == (words is not None)
     assert words is None or words in notes[0]
 
 
-def test_a_header_without_a_position_is_refused() -> None:
+def test_a_header_without_a_position_is_refused():
     options = PpkOptions(base_source="rinex_header")
     for place, words in (
         (None, "is absent"),
@@ -94,17 +94,17 @@ def test_a_header_without_a_position_is_refused() -> None:
             _base_position(inputs(base=[scan]), options, Path("base.obs"))
 
 
-def replace_scan(**changes: Any) -> Any:
+def replace_scan(**changes):
     return SimpleNamespace(**(vars(inputs().base[0]) | changes))
 
 
-def test_the_base_of_sbp_logs_is_the_median_of_what_they_state(tmp_path: Path) -> None:
+def test_the_base_of_sbp_logs_is_the_median_of_what_they_state(tmp_path):
     options = PpkOptions(base_source="from_sbp")
     scan = replace_scan(antenna_delta_hen_m=(0.0, 0.0, 0.0))
     rows = BASE + np.outer([0.004, 0.0, 0.0, 0.0, 0.0], EAST)
     rows[3:] = [[1000.0] * 3, [0.0] * 3]  # inside the earth, not yet set
 
-    def found(*logs: np.ndarray) -> tuple[np.ndarray, list[str]]:
+    def found(*logs):
         rover, base = (
             collect(files_of(tmp_path, b"".join(sbp(0x0048, row.tobytes(), 0) for row in log)))
             for log in logs
@@ -113,10 +113,10 @@ def test_the_base_of_sbp_logs_is_the_median_of_what_they_state(tmp_path: Path) -
         return _base_position(inputs(base=[scan], sbp=sbp_logs), options, Path("base.sbp"))
 
     place, notes = found(rows[:2], rows[2:])
-    np.testing.assert_allclose(place, BASE, atol=1e-6)
+    assert_allclose(place, BASE, atol=1e-6)
     assert notes == []
     place, notes = found(rows, BASE[None] + 0.5 * UP)
-    np.testing.assert_allclose(place, BASE, atol=1e-6)
+    assert_allclose(place, BASE, atol=1e-6)
     assert notes == [
         "The base positions stated in the SBP log differ by up to 0.500 m; their median is used."
     ]
@@ -124,8 +124,8 @@ def test_the_base_of_sbp_logs_is_the_median_of_what_they_state(tmp_path: Path) -
         found(np.zeros((1, 3)), np.zeros((1, 3)))
 
 
-def test_the_base_is_compared_with_its_own_single_positions() -> None:
-    def check(east_m: list[float]) -> tuple[float | None, list[str]]:
+def test_the_base_is_compared_with_its_own_single_positions():
+    def check(east_m):
         away = np.column_stack([east_m, np.zeros(len(east_m)), np.zeros(len(east_m))])
         return _check_base(positions(away, ["single"] * len(east_m)), BASE, Path("base.obs"))
 
@@ -147,7 +147,7 @@ def test_the_base_is_compared_with_its_own_single_positions() -> None:
     assert "could not be checked" in check([])[1][0]
 
 
-def solution() -> PpkSolution:
+def solution():
     """Seven epochs of twenty: four fixed, one float, one single, one of another kind."""
     away = np.outer(np.arange(100.0, 800.0, 100.0), [1.0, 0.0, 0.0])
     table = positions(away, ["fixed"] * 4 + ["float", "single", "dgnss"])
@@ -157,7 +157,7 @@ def solution() -> PpkSolution:
     return PpkSolution(positions=table, report=report, options=options, base_ecef_m=BASE)
 
 
-def test_a_solution_says_what_it_has_and_how_far_it_reaches() -> None:
+def test_a_solution_says_what_it_has_and_how_far_it_reaches():
     found = solution()
     report = found.report
     assert isinstance(report, IntegrityReport)
@@ -190,7 +190,7 @@ def test_a_solution_says_what_it_has_and_how_far_it_reaches() -> None:
     assert report.losses == {}
 
 
-def test_a_solution_as_files(tmp_path: Path) -> None:
+def test_a_solution_as_files(tmp_path):
     found = solution()
     files = write_solution(found, tmp_path / "new/ppk", name="Elbe & Mulde")
     assert [file.name for file in files] == [

@@ -3,19 +3,16 @@
 import shutil
 import struct
 import subprocess
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
 
 from tests.bands import band
-from thalweg.core import ArrayF, ConfigError, InputError, LocalFrame, ThalwegError, write_table
+from thalweg.core import ConfigError, InputError, LocalFrame, ThalwegError, write_table
 from thalweg.core.timescales import week_from_gps
 from thalweg.ingest import GNSS_POSITION
 from thalweg.ingest.ppk import PpkOptions, run_ppk
-from thalweg.ingest.ppk.solution import PpkSolution
 from thalweg.ingest.ppk.trust import SIGMA_FLOOR_M, covariance_enu
 
 pytestmark = pytest.mark.real
@@ -27,38 +24,38 @@ FRAME = LocalFrame(lat_deg=37.773497750, lon_deg=-122.417811914, h_ell_m=-6.2480
 START = LocalFrame(lat_deg=35.342058098, lon_deg=139.521986657, h_ell_m=47.5515)  # published start
 
 
-def sbp_options(**kwargs: object) -> PpkOptions:
+def sbp_options(**kwargs):
     base = {} if {"base_ecef_m", "base_source"} & set(kwargs) else {"base_source": "from_sbp"}
     return PpkOptions(elevation_mask_deg=10.0, **base, **kwargs)
 
 
-def enu(positions: pd.DataFrame, frame: LocalFrame = FRAME) -> ArrayF:
+def enu(positions, frame=FRAME):
     return frame.from_geodetic(positions["lat_deg"], positions["lon_deg"], positions["h_ell_m"])
 
 
 @pytest.fixture(scope="module")
-def sbp(data_dir: Path) -> Path:
+def sbp(data_dir):
     return data_dir / "sbp_piksi_rtk_2017" / "2017-05-12-v1.1.26.sbp"
 
 
 @pytest.fixture(scope="module")
-def reference(data_dir: Path) -> Path:
+def reference(data_dir):
     return data_dir / "sbp_piksi_rtk_2017" / "reference"
 
 
 @pytest.fixture(scope="module")
-def static(sbp: Path) -> PpkSolution:
+def static(sbp):
     return run_ppk([sbp], None, [], sbp_options())
 
 
 @pytest.fixture(scope="module")
-def car(data_dir: Path) -> PpkSolution:
+def car(data_dir):
     k = data_dir / "rinex_cssrlib_kinematic_2021"
     options = PpkOptions(base_ecef_m=GEONET_3034)  # the systems of both logs
     return run_ppk([k / "SEPT265G.21O"], [k / "3034265G.21O"], [k / "SEPT2650.21P"], options)
 
 
-def test_sbp_alone(static: PpkSolution, record_property: Any) -> None:
+def test_sbp_alone(static, record_property):
     d = static.report.details
     assert len(static.positions) == d["n_rover_epochs"] == 400
     assert d["n_fixed"] == pytest.approx(
@@ -80,12 +77,10 @@ def test_sbp_alone(static: PpkSolution, record_property: Any) -> None:
     assert static.report.details["engine"] == "pyrtklib5 0.2.8 (RTKLIB EX 2.5.0)"
 
 
-def test_consistent_with_the_receiver_epoch_by_epoch(
-    static: PpkSolution, sbp: Path, record_property: Any
-) -> None:
+def test_consistent_with_the_receiver_epoch_by_epoch(static, sbp, record_property):
     """MsgBaselineNED (0x020C) in fixed mode, read here with struct: another engine on the same signals."""
     data = sbp.read_bytes()
-    onboard: dict[int, tuple[float, float, float]] = {}
+    onboard = {}
     at = -1
     while (at := data.find(b"\x55\x0c\x02", at + 1)) >= 0:
         if at + 30 <= len(data) and data[at + 5] == 22:
@@ -104,7 +99,7 @@ def test_consistent_with_the_receiver_epoch_by_epoch(
     assert np.max(np.abs(difference)) < 40e-3  # measured 33 mm, in height
 
 
-def test_rinex_route_equals_the_sbp_route(static: PpkSolution, reference: Path) -> None:
+def test_rinex_route_equals_the_sbp_route(static, reference):
     """Swift's sbp2rinex wrote these files, the engine's own converter those of the other route."""
     files = [reference / f"piksi_{name}" for name in ("rover.obs", "base.obs", "rover.nav")]
     route = run_ppk([files[0]], [files[1]], [files[2]], sbp_options(base_source="rinex_header"))
@@ -114,13 +109,7 @@ def test_rinex_route_equals_the_sbp_route(static: PpkSolution, reference: Path) 
     assert any("approximate position of a RINEX header" in note for note in route.report.notes)
 
 
-def test_deterministic(static: PpkSolution, sbp: Path) -> None:
-    again = run_ppk([sbp], None, [], sbp_options())
-    pd.testing.assert_frame_equal(again.positions, static.positions, check_exact=True)
-    assert again.report.to_json() == static.report.to_json()
-
-
-def test_a_shifted_base_shifts_the_answer(static: PpkSolution, sbp: Path) -> None:
+def test_a_shifted_base_shifts_the_answer(static, sbp):
     place, antenna = np.array([1.0, 0.0, -0.5]), np.array([0.0, 0.4, 0.3])
     shift = place + antenna
     moved = tuple(static.base_ecef_m + FRAME.R_ecef_enu @ place)
@@ -132,11 +121,11 @@ def test_a_shifted_base_shifts_the_answer(static: PpkSolution, sbp: Path) -> Non
     assert difference.mean(axis=0) == pytest.approx(shift, abs=5e-4)
 
 
-def sigmas_m(positions: pd.DataFrame) -> ArrayF:
+def sigmas_m(positions):
     return np.sqrt(np.diagonal(covariance_enu(positions), axis1=1, axis2=2))
 
 
-def test_static_scatter_against_predicted_sigma(static: PpkSolution) -> None:
+def test_static_scatter_against_predicted_sigma(static):
     """The stated sigma is of the size of the scatter of 6.3 minutes.
 
     Measured: 1.2, 1.8, 2.2 mm against 2.4, 2.7, 5.3 mm: ratios 0.52, 0.67, 0.42 (of the engine's own 0.26,
@@ -148,7 +137,7 @@ def test_static_scatter_against_predicted_sigma(static: PpkSolution) -> None:
     assert static.report.details["fixed_sigma_factor"] == pytest.approx(0.49, abs=0.02)
 
 
-def test_float_sigmas_hold_from_the_first_second(static: PpkSolution, car: PpkSolution) -> None:
+def test_float_sigmas_hold_from_the_first_second(static, car):
     """Errors of the first 22 and 12 seconds over sigmas: 0.7 (were 0.2) and 0.8 (0.1)."""
     mean = static.fixed[["lat_deg", "lon_deg", "h_ell_m"]].mean()
     for solution, frame in ((static, LocalFrame(**mean)), (car, START)):
@@ -159,7 +148,7 @@ def test_float_sigmas_hold_from_the_first_second(static: PpkSolution, car: PpkSo
         assert max(low, 0.4) < rms < high
 
 
-def test_a_car_at_rest_lies_within_its_sigmas_of_the_published_place(car: PpkSolution) -> None:
+def test_a_car_at_rest_lies_within_its_sigmas_of_the_published_place(car):
     """19 fixed epochs at 5.4 km, one observation of each axis: NEES 1.2 (was 4.2)."""
     rest = car.fixed[car.fixed["t_gps_s"] < car.positions["t_gps_s"].iloc[0] + 30.0]
     d = enu(rest, START)
@@ -168,7 +157,7 @@ def test_a_car_at_rest_lies_within_its_sigmas_of_the_published_place(car: PpkSol
     assert low < nees < high
 
 
-def test_covariances_are_positive_definite(static: PpkSolution, car: PpkSolution, tmp_path: Path) -> None:
+def test_covariances_are_positive_definite(static, car, tmp_path):
     """The engine wrote 38 indefinite ones in 360 epochs of the car (dynamics off) and none on the roof."""
     for solution in (static, car):
         C = covariance_enu(solution.positions)
@@ -179,7 +168,7 @@ def test_covariances_are_positive_definite(static: PpkSolution, car: PpkSolution
     assert any("replaced by the median of their neighbours" in note for note in car.report.notes)
 
 
-def test_dynamics_keep_the_digits_of_the_covariance(data_dir: Path, car: PpkSolution) -> None:
+def test_dynamics_keep_the_digits_of_the_covariance(data_dir, car):
     k = data_dir / "rinex_cssrlib_kinematic_2021"
     options = PpkOptions(base_ecef_m=GEONET_3034, systems=("GPS", "GAL", "QZS"), dynamics=True)
     smooth = run_ppk([k / "SEPT265G.21O"], [k / "3034265G.21O"], [k / "SEPT2650.21P"], options)
@@ -189,7 +178,7 @@ def test_dynamics_keep_the_digits_of_the_covariance(data_dir: Path, car: PpkSolu
     assert np.median(difference) < 0.01  # measured 4.9 mm (95 %: 17 mm): the two filters smooth differently
 
 
-def test_car(car: PpkSolution, record_property: Any) -> None:
+def test_car(car, record_property):
     d = car.report.details
     assert len(car.positions) == d["n_rover_epochs"] == 360
     assert d["n_fixed"] == pytest.approx(348, abs=3)  # PROVENANCE.md
@@ -204,7 +193,7 @@ def test_car(car: PpkSolution, record_property: Any) -> None:
     assert not any("phase bands" in note for note in car.report.notes)
 
 
-def test_instantaneous_never_passes_as_fixed(sbp: Path) -> None:
+def test_instantaneous_never_passes_as_fixed(sbp):
     """The trap of this engine: no ambiguity is fixed, and the result must say so."""
     answer = run_ppk([sbp], None, [], sbp_options(ambiguity="instantaneous"))
     assert set(answer.positions["fix"]) == {"float"}
@@ -217,7 +206,7 @@ def test_instantaneous_never_passes_as_fixed(sbp: Path) -> None:
     "options",
     [{"direction": "combined"}, {"direction": "backward", "ambiguity": "fix-and-hold"}, {"dynamics": True}],
 )
-def test_other_modes_agree(sbp: Path, options: dict[str, object]) -> None:
+def test_other_modes_agree(sbp, options):
     answer = run_ppk([sbp], None, [], sbp_options(**options))
     assert answer.fix_ratio > 0.9
     assert np.mean(enu(answer.fixed), axis=0) == pytest.approx(
@@ -226,7 +215,7 @@ def test_other_modes_agree(sbp: Path, options: dict[str, object]) -> None:
     assert any("independent" in n for n in answer.report.notes) == (options.get("direction") == "combined")
 
 
-def test_rover_in_two_files(static: PpkSolution, reference: Path, tmp_path: Path) -> None:
+def test_rover_in_two_files(static, reference, tmp_path):
     """Listed apart, the engine would take the second rover file for the base."""
     lines = (reference / "piksi_rover.obs").read_text().splitlines(keepends=True)
     body = next(i for i, ln in enumerate(lines) if "END OF HEADER" in ln) + 1
@@ -240,7 +229,7 @@ def test_rover_in_two_files(static: PpkSolution, reference: Path, tmp_path: Path
     assert np.max(np.abs(enu(answer.positions) - enu(static.positions))) < 2e-4
 
 
-def test_sbp_in_two_files(static: PpkSolution, sbp: Path, tmp_path: Path) -> None:
+def test_sbp_in_two_files(static, sbp, tmp_path):
     data = sbp.read_bytes()
     parts = [tmp_path / "0.sbp", tmp_path / "1.sbp"]
     for part, piece in zip(parts, (data[:1_000_003], data[1_000_003:]), strict=True):
@@ -249,18 +238,7 @@ def test_sbp_in_two_files(static: PpkSolution, sbp: Path, tmp_path: Path) -> Non
     pd.testing.assert_frame_equal(answer.positions, static.positions, check_exact=True)
 
 
-def test_cut_sbp(sbp: Path, tmp_path: Path) -> None:
-    cut = tmp_path / "cut.sbp"
-    cut.write_bytes(sbp.read_bytes()[:1_000_001])
-    answer = run_ppk([cut], None, [], sbp_options())
-    assert 100 < len(answer.positions) < 300
-    assert 0 < answer.report.losses["rover SBP bytes outside of intact frames"] < 263  # less than one frame
-    assert any("belong to no intact frame" in note for note in answer.report.notes)
-
-
-def test_damaged_rinex_loses_the_damaged_epochs_only(
-    static: PpkSolution, reference: Path, tmp_path: Path
-) -> None:
+def test_damaged_rinex_loses_the_damaged_epochs_only(static, reference, tmp_path):
     """Left to itself, the engine loses the epoch behind a damaged one too (398 of 400 for one bad line)."""
     lines = (reference / "piksi_rover.obs").read_text().splitlines(keepends=True)
     heads = [i for i, ln in enumerate(lines) if ln.startswith(">")]
@@ -274,7 +252,7 @@ def test_damaged_rinex_loses_the_damaged_epochs_only(
     assert len(answer.positions) == 397
 
 
-def test_epochs_without_base_are_counted(static: PpkSolution, reference: Path, tmp_path: Path) -> None:
+def test_epochs_without_base_are_counted(static, reference, tmp_path):
     """A base that ends after 100 rover epochs leaves single positions, marked as such."""
     text = (reference / "piksi_base.obs").read_text()
     path = tmp_path / "base.obs"
@@ -290,45 +268,16 @@ def test_epochs_without_base_are_counted(static: PpkSolution, reference: Path, t
     assert sum(d[f"n_{name}"] for name in ("fixed", "float", "single", "other", "none")) == 400
 
 
-@pytest.mark.parametrize(
-    ("base", "fragment"),
-    [
-        (tuple(-x for x in SBP_BASE), "12742"),  # the antipode
-        ((SBP_BASE[0] + 3000.0, SBP_BASE[1], SBP_BASE[2]), "3.0 km from where its own observations put it"),
-    ],
-)
-def test_a_wrong_base_is_refused(sbp: Path, base: tuple[float, float, float], fragment: str) -> None:
-    with pytest.raises(InputError) as caught:
-        run_ppk([sbp], None, [], sbp_options(base_ecef_m=base))
-    assert fragment.replace("12742", "km from where its own observations put it") in str(caught.value)
-
-
-def test_a_doubtful_base_is_noted(sbp: Path) -> None:
-    answer = run_ppk([sbp], None, [], sbp_options(base_ecef_m=(SBP_BASE[0] + 200.0, *SBP_BASE[1:])))
-    assert any("from the base's own single-point position: check it" in note for note in answer.report.notes)
-
-
-def test_wrong_day_of_the_base(data_dir: Path, sbp: Path) -> None:
-    base = data_dir / "rinex_cssrlib_kinematic_2021" / "3034265G.21O"
-    with pytest.raises(InputError, match="do not overlap in time"):
-        run_ppk([sbp], [base], [], PpkOptions(base_ecef_m=GEONET_3034))
-
-
-def test_same_log_as_base(sbp: Path) -> None:
+def test_same_log_as_base(sbp):
     with pytest.raises(InputError, match="Give base=None for the corrections inside an SBP log"):
         run_ppk([sbp], [sbp], [], sbp_options())
 
 
-def test_time_limit(sbp: Path) -> None:
-    with pytest.raises(InputError, match=r"did not finish within 0\.001 s"):
-        run_ppk([sbp], None, [], sbp_options(), time_limit_s=0.001)
-
-
-def test_fuzz_engine_on_damaged_logs(sbp: Path, tmp_path: Path, fuzz: Any, fuzz_count: int) -> None:
+def test_fuzz_engine_on_damaged_logs(sbp, tmp_path, fuzz, fuzz_count):
     """Whatever a damaged log does to the C code, the caller sees a table with counts or a ThalwegError."""
     head, path = sbp.read_bytes()[:600_000], tmp_path / "fuzz.sbp"
 
-    def damage(data: bytes, rng: np.random.Generator) -> bytes:
+    def damage(data, rng):
         parts = [data[i : i + 3000] for i in range(0, len(data), 3000)]  # damage all over, cuts within a part
         return b"".join(fuzz.damaged(part, most=2, longest=400) for part in parts)
 
@@ -347,7 +296,7 @@ def test_fuzz_engine_on_damaged_logs(sbp: Path, tmp_path: Path, fuzz: Any, fuzz_
 @pytest.mark.skipif(
     shutil.which("rnx2rtkp") is None, reason="rnx2rtkp (Debian package rtklib) is not on PATH"
 )
-def test_against_stock_rtklib(static: PpkSolution, reference: Path, tmp_path: Path) -> None:
+def test_against_stock_rtklib(static, reference, tmp_path):
     """Another build of RTKLIB (2.4.3 b34), settings in its own words; some fix flags differ."""
     config = tmp_path / "stock.conf"
     config.write_text(
@@ -369,11 +318,3 @@ def test_against_stock_rtklib(static: PpkSolution, reference: Path, tmp_path: Pa
     # Measured 367: at the start 14 epochs are fixed by the stock engine only, later 11 by ours only.
     assert len(difference) > 360
     assert np.max(np.abs(difference)) < 1e-3  # measured 0.6 mm, in height
-
-
-def test_a_base_that_moves_is_refused(data_dir: Path) -> None:
-    """The car taken for the base: its own positions tell."""
-    k = data_dir / "rinex_cssrlib_kinematic_2021"
-    car, still = k / "SEPT265G.21O", k / "3034265G.21O"
-    with pytest.raises(InputError, match=r"the base moved: .* lie 36 m from .*exchanged"):
-        run_ppk([still], [car], [k / "SEPT2650.21P"], PpkOptions(base_source="rinex_header"))

@@ -1,12 +1,9 @@
 """What the residuals of the engine say of the noise: drawn with known sizes, and text by hand."""
 
-from pathlib import Path
-
 import numpy as np
 import pandas as pd
 import pytest
 
-from thalweg.core import ArrayF
 from thalweg.ingest.ppk.residuals import CODE_RATIO, PHASE_M, code_factors, phase_factor, read_residuals
 
 WEIGHT = np.array([0.24, 0.2, 0.15, 0.1, 0.06, 0.03, 0.24, 0.2, 0.15, 0.1, 0.06, 0.03])
@@ -14,7 +11,7 @@ GROUPS = np.array(["G1"] * 6 + ["G2"] * 6)
 N = 4096
 
 
-def residuals(code: ArrayF, phase: ArrayF, *, fixed: bool = True) -> pd.DataFrame:
+def residuals(code, phase, *, fixed=True):
     """Residuals of 6 satellites on 2 frequencies; errors (epochs, 12) in units of what the engine takes."""
     n = len(code)
     size = PHASE_M / np.sqrt(WEIGHT)
@@ -35,7 +32,7 @@ def residuals(code: ArrayF, phase: ArrayF, *, fixed: bool = True) -> pd.DataFram
 
 
 @pytest.mark.parametrize("size", [0.25, 1.0, 3.0])
-def test_phase_factor_is_the_variance_in_units_of_the_engines(size: float) -> None:
+def test_phase_factor_is_the_variance_in_units_of_the_engines(size):
     """A place was taken from 3 of 10 values an epoch: 7 are left, of which 7 / 10 of the square remains."""
     rng = np.random.default_rng(11)
     drawn = residuals(np.zeros((N, 12)), size * rng.standard_normal((N, 12)))
@@ -43,14 +40,14 @@ def test_phase_factor_is_the_variance_in_units_of_the_engines(size: float) -> No
     assert phase_factor(drawn) == pytest.approx(size**2 * 10 / 7, rel=0.027)
 
 
-def test_phase_factor_needs_thirty_fixed_epochs() -> None:
+def test_phase_factor_needs_thirty_fixed_epochs():
     rng = np.random.default_rng(12)
     few = residuals(np.zeros((29, 12)), 0.1 * rng.standard_normal((29, 12)))
     assert phase_factor(few) == 1.0
     assert phase_factor(residuals(*np.zeros((2, 40, 12)), fixed=False)) == 1.0
 
 
-def test_code_factors_tell_what_averages_out_from_what_stays() -> None:
+def test_code_factors_tell_what_averages_out_from_what_stays():
     """New in each epoch: the same for all means. Half of the variance constant: half (1 + k) of it."""
     rng = np.random.default_rng(13)
     white, stays = rng.standard_normal((N, 12)), rng.standard_normal((1, 12))
@@ -65,7 +62,7 @@ def test_code_factors_tell_what_averages_out_from_what_stays() -> None:
     )
 
 
-def test_code_factors_need_epochs_and_satellites() -> None:
+def test_code_factors_need_epochs_and_satellites():
     assert code_factors(residuals(*np.ones((2, 29, 12)))) is None
     five = residuals(*np.ones((2, 40, 12)))
     assert code_factors(five[five["satellite"] < "G03"]) is None
@@ -82,7 +79,7 @@ $SAT,2157,291607.000,G13,1,296.6,39.3,9.0000,9.0000,0,0,0,0,0,0,0,0,0.0,0.0,0.0
 """
 
 
-def test_the_status_file_is_read(tmp_path: Path) -> None:
+def test_the_status_file_is_read(tmp_path):
     path = tmp_path / "ppk.pos.stat"
     assert read_residuals(path).empty
     path.write_text(STATUS)

@@ -15,7 +15,7 @@ KNOWN = (np.ones(1), np.full(1, 4.0))
 """Residuals say that float positions err twice as much as the engine states."""
 
 
-def table(errors_m: np.ndarray, fix: str, sigma_m: float) -> pd.DataFrame:
+def table(errors_m, fix, sigma_m):
     """Positions of a boat on its way, with those errors (n, 3), east, north, up."""
     n = len(errors_m)
     true = np.column_stack([1.5 * np.arange(n), 0.2 * np.arange(n), np.zeros(n)])
@@ -26,14 +26,14 @@ def table(errors_m: np.ndarray, fix: str, sigma_m: float) -> pd.DataFrame:
     return out.assign(**sigmas, **dict.fromkeys(("cov_en_m2", "cov_eu_m2", "cov_nu_m2"), 0.0))
 
 
-def errors_m(found: pd.DataFrame) -> np.ndarray:
+def errors_m(found):
     """Errors (n, 3) of positions at whole seconds of the boat's way."""
     k = found["t_gps_s"].to_numpy() - 1e9
     true = np.column_stack([1.5 * k, 0.2 * k, np.zeros(len(k))])
     return FRAME.from_geodetic(found["lat_deg"], found["lon_deg"], found["h_ell_m"]) - true
 
 
-def solution(wrong: slice, off_m: float, seed: int = 1) -> tuple[pd.DataFrame, pd.DataFrame]:
+def solution(wrong, off_m, seed=1):
     """A solution that is fixed to 1 cm but for epochs whose integers are wrong, and its float solution."""
     rng = np.random.default_rng(seed)
     error = 0.01 * rng.standard_normal((N, 3))
@@ -42,7 +42,7 @@ def solution(wrong: slice, off_m: float, seed: int = 1) -> tuple[pd.DataFrame, p
     return table(error, "fixed", 0.01), table(floats, "float", 0.15)
 
 
-def test_fixes_that_agree_with_the_float_solution_stay() -> None:
+def test_fixes_that_agree_with_the_float_solution_stay():
     fixed, floats = solution(slice(0, 0), 0.0)
     found, trust = trust_fixes(fixed, floats, 1.0, KNOWN, np.full(N, 100.0), np.zeros(N), **LIMITS)
     assert (found["fix"] == "fixed").all()
@@ -51,7 +51,7 @@ def test_fixes_that_agree_with_the_float_solution_stay() -> None:
     assert found["sigma_up_m"].to_numpy() == pytest.approx(0.01, rel=1e-3)
 
 
-def test_integers_that_are_metres_off_become_float() -> None:
+def test_integers_that_are_metres_off_become_float():
     """Five epochs 2.3 m off with 1 cm stated, among float ones; the truth lies within three sigmas after."""
     fixed, floats = solution(slice(90, 105), -2.3)
     mixed = pd.concat([floats[:90], fixed[90:105], floats[105:]], ignore_index=True)
@@ -63,25 +63,7 @@ def test_integers_that_are_metres_off_become_float() -> None:
     assert (np.abs(errors_m(found)) < 3 * sigma).all()
 
 
-def test_integers_over_100_km_are_not_trusted() -> None:
-    fixed, floats = solution(slice(0, 0), 0.0)
-    found, trust = trust_fixes(fixed, floats, 1.0, KNOWN, np.full(N, 99_700.0), np.zeros(N), **LIMITS)
-    assert trust.refused["baseline"] == N
-    # 0.15 m doubled by what the residuals say, and for floats 10 mm/km of 99.7 km in height, 5 mm/km in plan
-    assert found["sigma_up_m"].to_numpy() == pytest.approx(np.hypot(2 * 0.15, 0.997), rel=1e-3)
-    assert found["sigma_east_m"].to_numpy() == pytest.approx(np.hypot(2 * 0.15, 0.4985), rel=1e-3)
-
-
-def test_a_few_seconds_of_fixes_may_be_chance() -> None:
-    fixed, floats = solution(slice(0, 0), 0.0)
-    mixed = pd.concat([floats[:90], fixed[90:94], floats[94:100], fixed[100:]], ignore_index=True)
-    found, trust = trust_fixes(mixed, floats, 1.0, KNOWN, np.full(N, 100.0), np.zeros(N), **LIMITS)
-    assert trust.refused == {"baseline": 0, "duration": 4, "float": 0}
-    assert (found["fix"][100:] == "fixed").all()
-    assert not (found["fix"][90:94] == "fixed").any()
-
-
-def test_refused_epochs_without_a_float_position_are_counted() -> None:
+def test_refused_epochs_without_a_float_position_are_counted():
     fixed, floats = solution(slice(0, 0), 0.0)
     found, trust = trust_fixes(fixed, floats[:150], 1.0, KNOWN, np.full(N, 50_000.0), np.zeros(N), **LIMITS)
     assert len(found) == 150

@@ -1,7 +1,6 @@
 """PPK from raw observations of the digital twin: short baselines are fixed, one of 100 km never wrongly."""
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -34,12 +33,12 @@ class Run:
     fixed: ArrayB
 
 
-def track(km: float) -> ArrayF:
+def track(km):
     """A boat in waves that far from the base, 1 m/s."""
     return np.column_stack([800.0 * km + S, 600.0 * km + 5 * np.sin(S / 10), -50.0 + 0.05 * np.sin(S / 1.3)])
 
 
-def run(folder: Path, km: float, seed: int, receiver: Receiver | None = None) -> Run:
+def run(folder, km, seed, receiver=None):
     files = [folder / name for name in ("rover.obs", "base.obs", "gps.nav")]
     record_raw_gnss(seed, START_GPS_S + S, track(km), BASE, *files, rover=receiver)
     options = PpkOptions(base_ecef_m=tuple(BASE.origin_ecef_m.tolist()))
@@ -54,25 +53,25 @@ def run(folder: Path, km: float, seed: int, receiver: Receiver | None = None) ->
 
 
 @pytest.fixture(scope="module")
-def short(tmp_path_factory) -> list[Run]:
+def short(tmp_path_factory):
     folder = tmp_path_factory.mktemp("short")
     return [run(folder, km, seed) for km, seed in zip((0.5, 3.0, 0.5), SEEDS, strict=True)]
 
 
 @pytest.fixture(scope="module")
-def long(tmp_path_factory) -> list[Run]:
+def long(tmp_path_factory):
     folder = tmp_path_factory.mktemp("long")
     return [run(folder, 100.0, seed) for seed in (*FAR, *FIXING)]
 
 
-def test_short_baselines_are_fixed_and_never_wrongly(short: list[Run]) -> None:
+def test_short_baselines_are_fixed_and_never_wrongly(short):
     share = [r.fixed.mean() for r in short]
     assert np.median(share) > 0.8  # the first seconds of a kinematic start are float
     for r in short:
         assert np.abs(r.error_m[r.fixed]).max(initial=0.0) < 0.10  # one wavelength is 0.19 m
 
 
-def test_sigmas_of_fixed_positions_hold(short: list[Run]) -> None:
+def test_sigmas_of_fixed_positions_hold(short):
     """Multipath lasts 40 s: a run of 240 s with two receivers is some six observations of each axis."""
     nees = [r.nees[r.fixed].mean() for r in short if r.fixed.sum() > 100]
     low, high = band(3 * 6 * len(nees), level=0.99)
@@ -80,7 +79,7 @@ def test_sigmas_of_fixed_positions_hold(short: list[Run]) -> None:
     assert low / 1.3**2 < np.mean(nees) < high * 1.3**2, nees
 
 
-def test_a_base_100_km_away_gives_no_fix(long: list[Run]) -> None:
+def test_a_base_100_km_away_gives_no_fix(long):
     refused = sum(r.solution.report.details["n_fixes_refused"]["baseline"] for r in long[-len(FIXING) :])
     assert refused > 5
     for r in long:
@@ -92,7 +91,7 @@ def test_a_base_100_km_away_gives_no_fix(long: list[Run]) -> None:
     assert low < np.mean(fresh) < high
 
 
-def test_auto_takes_the_float_positions_of_a_long_baseline(long: list[Run]) -> None:
+def test_auto_takes_the_float_positions_of_a_long_baseline(long):
     table = long[0].solution.positions
     how = {"max_gap_s": 1.5, "sigma_level_deg": 3.0, "sigma_course_deg": 5.0}
     lat, lon, h = (float(table[name].iloc[0]) for name in ("lat_deg", "lon_deg", "h_ell_m"))
@@ -114,7 +113,7 @@ def test_auto_takes_the_float_positions_of_a_long_baseline(long: list[Run]) -> N
     assert summary.n_positions_used == len(table)
 
 
-def test_slips_are_found(short: list[Run], tmp_path: Path) -> None:
+def test_slips_are_found(short, tmp_path):
     """Sixty slips an hour and satellite: fewer fixes, none of them wrong."""
     r = run(tmp_path, 0.5, FIXING[1], Receiver(slips_per_hour=60.0))
     assert np.abs(r.error_m[r.fixed]).max(initial=0.0) < 0.10

@@ -11,7 +11,6 @@ import threading
 import warnings
 import zipfile
 from collections import namedtuple
-from collections.abc import Iterator
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -22,7 +21,7 @@ import yaml
 from tests.conftest import check_whole
 from thalweg.cli import main
 from thalweg.core import InputError
-from thalweg.ingest import PublicRecording, fetch_recording, public_recordings, recording_named
+from thalweg.ingest import fetch_recording, public_recordings, recording_named
 
 FILES = {"sub/depths.csv": b"x,y,depth\n1,2,3\n", "log.bin": bytes(range(256)) * 40}
 
@@ -32,7 +31,7 @@ class Origin(SimpleHTTPRequestHandler):
 
     asked: list[str]
 
-    def do_GET(self) -> None:
+    def do_GET(self):
         self.asked.append(self.path)
         if not self.path.startswith("/cut"):
             return super().do_GET()
@@ -42,18 +41,18 @@ class Origin(SimpleHTTPRequestHandler):
         self.end_headers()
         return self.wfile.write(whole[: len(whole) // 2]) and None
 
-    def log_message(self, *_: object) -> None:
+    def log_message(self, *_):
         pass
 
 
 @pytest.fixture
-def origin(tmp_path: Path) -> Iterator[tuple[str, Path, list[str]]]:
+def origin(tmp_path):
     """Address, folder and requests of a server of files."""
     folder = tmp_path / "origin"
     for path, content in {**FILES, "cut.bin": FILES["log.bin"]}.items():
         (folder / path).parent.mkdir(parents=True, exist_ok=True)
         (folder / path).write_bytes(content)
-    asked: list[str] = []
+    asked = []
     handler = type("Counting", (Origin,), {"asked": asked})
     server = ThreadingHTTPServer(("127.0.0.1", 0), partial(handler, directory=folder))
     threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01}, daemon=True).start()
@@ -65,7 +64,7 @@ def origin(tmp_path: Path) -> Iterator[tuple[str, Path, list[str]]]:
         gc.collect()
 
 
-def registered(tmp_path: Path, base: str, files: dict[str, str], **more: object) -> PublicRecording:
+def registered(tmp_path, base, files, **more):
     """A recording as a registry states it: texts behind the paths."""
     row = {"what": "two files", "licence": "CC0", "credit": "nobody", "page": "https://x.org", "from": base}
     path = tmp_path / "registry.yaml"
@@ -73,15 +72,15 @@ def registered(tmp_path: Path, base: str, files: dict[str, str], **more: object)
     return public_recordings(path)["boat/one"]
 
 
-def stated(content: bytes, other: str = "") -> str:
+def stated(content, other=""):
     return f"{len(content)} {hashlib.sha256(content).hexdigest()} {other}".strip()
 
 
-def contents(folder: Path) -> dict[str, bytes]:
+def contents(folder):
     return {p.relative_to(folder).as_posix(): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
 
 
-def test_files_are_downloaded_once(tmp_path: Path, origin: tuple[str, Path, list[str]]) -> None:
+def test_files_are_downloaded_once(tmp_path, origin):
     base, _, asked = origin
     files = {"depths.csv": stated(FILES["sub/depths.csv"], "sub/depths.csv")}
     files["log.bin"] = stated(FILES["log.bin"], f"{base}log.bin")
@@ -99,7 +98,7 @@ def test_files_are_downloaded_once(tmp_path: Path, origin: tuple[str, Path, list
 
 
 @pytest.mark.parametrize("name", ["all.zip", "all.tar.gz"])
-def test_archives_are_unpacked(tmp_path: Path, origin: tuple[str, Path, list[str]], name: str) -> None:
+def test_archives_are_unpacked(tmp_path, origin, name):
     base, folder, _ = origin
     if name.endswith(".zip"):
         with zipfile.ZipFile(folder / name, "w") as archive:
@@ -128,9 +127,7 @@ def test_archives_are_unpacked(tmp_path: Path, origin: tuple[str, Path, list[str
         ),
     ],
 )
-def test_what_goes_wrong_is_said_and_nothing_is_left(
-    tmp_path: Path, origin: tuple[str, Path, list[str]], path: str, text: str, message: str
-) -> None:
+def test_what_goes_wrong_is_said_and_nothing_is_left(tmp_path, origin, path, text, message):
     recording = registered(tmp_path, origin[0], {path: text})
     with pytest.raises(InputError, match=message) as caught:
         fetch_recording(recording, tmp_path)
@@ -139,7 +136,7 @@ def test_what_goes_wrong_is_said_and_nothing_is_left(
     check_whole(caught.value)
 
 
-def test_a_mirror_is_asked_first(tmp_path: Path, origin: tuple[str, Path, list[str]]) -> None:
+def test_a_mirror_is_asked_first(tmp_path, origin):
     base, folder, asked = origin
     mirror = tmp_path / "mirror"
     (mirror / "boat/one").mkdir(parents=True)
@@ -156,7 +153,7 @@ def test_a_mirror_is_asked_first(tmp_path: Path, origin: tuple[str, Path, list[s
     assert contents(fetch_recording(recording, mirror, mirror)) == FILES
 
 
-def test_a_file_of_the_user_is_not_written_over(tmp_path: Path) -> None:
+def test_a_file_of_the_user_is_not_written_over(tmp_path):
     recording = registered(tmp_path, "http://127.0.0.1:9/", {"log.bin": stated(b"whole")})
     (tmp_path / "boat/one").mkdir(parents=True)
     (tmp_path / "boat/one/log.bin").write_bytes(b"edited")
@@ -166,9 +163,7 @@ def test_a_file_of_the_user_is_not_written_over(tmp_path: Path) -> None:
     assert (tmp_path / "boat/one/log.bin").read_bytes() == b"edited"
 
 
-def test_a_full_disk(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_full_disk(tmp_path, monkeypatch, capsys):
     """Told before the first byte; and where it fills meanwhile, nothing half is left."""
     recording = registered(tmp_path, "http://127.0.0.1:9/", {"log.bin": stated(bytes(2_000_000))})
     Usage = namedtuple("Usage", "free")
@@ -181,7 +176,7 @@ def test_a_full_disk(
     mirror.mkdir(parents=True)
     (mirror / "log.bin").write_bytes(bytes(2_000_000))
 
-    def full(_: Path, part: str) -> None:
+    def full(_, part):
         Path(part).write_bytes(bytes(1000))
         raise OSError(errno.ENOSPC, "No space left on device", part)
 
@@ -193,7 +188,7 @@ def test_a_full_disk(
     assert contents(tmp_path / "mine") == {}
 
 
-def test_the_list_and_a_name_that_is_none(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_list_and_a_name_that_is_none(capsys):
     assert main(["fetch"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == len(public_recordings()) + 1
@@ -203,7 +198,7 @@ def test_the_list_and_a_name_that_is_none(capsys: pytest.CaptureFixture[str]) ->
     assert recording_named("lowrance_sl2", public_recordings()).name == "today/lowrance_sl2"
 
 
-def test_every_row_of_the_registry_can_be_used_by_strangers() -> None:
+def test_every_row_of_the_registry_can_be_used_by_strangers():
     """An origin that never changes, a licence, somebody to name; no registry of packages, no way out."""
     for recording in public_recordings().values():
         assert recording.licence
@@ -223,7 +218,7 @@ def test_every_row_of_the_registry_can_be_used_by_strangers() -> None:
 
 
 @pytest.mark.real
-def test_the_recordings_of_the_tests_are_those_of_the_registry(data_dir: Path) -> None:
+def test_the_recordings_of_the_tests_are_those_of_the_registry(data_dir):
     """Byte by byte, as far as the folder holds them."""
     known = public_recordings().values()
     listed = [
@@ -236,9 +231,7 @@ def test_the_recordings_of_the_tests_are_those_of_the_registry(data_dir: Path) -
 
 
 @pytest.mark.real
-def test_a_recording_from_the_mirror(
-    data_dir: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_recording_from_the_mirror(data_dir, tmp_path, monkeypatch, capsys):
     log = data_dir / "anpp_sdk_log/Log.anpp"
     assert data_dir / "sbp_piksi_rtk_2017/2017-05-12-v1.1.26.sbp"
     monkeypatch.setenv("THALWEG_DATA", str(data_dir))

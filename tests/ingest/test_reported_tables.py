@@ -1,26 +1,20 @@
 """Tables, clouds and NMEA logs with traits of public bug reports: the right value, or why not."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from pyproj import CRS
 
 from thalweg.bathymetry import read_soundings
-from thalweg.core import InputError, gps_from_unix
+from thalweg.core import InputError
 from thalweg.deformation import Comparison
 from thalweg.deformation.foreign import compare_clouds
 from thalweg.ingest.clouds import read_cloud
-from thalweg.ingest.nmea import read_nmea
-from thalweg.ingest.registry import describe
 
 pytestmark = pytest.mark.real
-TEN_O_CLOCK = gps_from_unix(1_718_186_400.0)
-"""2024-06-12T10:00:00Z."""
 
 
 @pytest.fixture
-def reports(data_dir: Path) -> Path:
+def reports(data_dir):
     folder = data_dir / "reports_logs"
     if not folder.is_dir():
         pytest.skip("no reports_logs beside the recordings")
@@ -39,7 +33,7 @@ def reports(data_dir: Path) -> Path:
         ("soundings_nodata_9999/height_-9999.csv", 190, 96.96, 99.51),
     ],
 )
-def test_soundings(reports: Path, name: str, n: int, low: float, high: float) -> None:
+def test_soundings(reports, name, n, low, high):
     """Numbers of soundings, and their range as the table in metres has it; feet are rounded to 3 mm."""
     found = read_soundings(
         reports / name, CRS(32633), column=None, depth=None, level_m=None, line_column="line", sigma_m=0.02
@@ -57,7 +51,7 @@ def test_soundings(reports: Path, name: str, n: int, low: float, high: float) ->
         ("las_withheld_points", "before.laz", "after.laz", -0.0955),
     ],
 )
-def test_changes_of_clouds(reports: Path, folder: str, before: str, after: str, mean_m: float) -> None:
+def test_changes_of_clouds(reports, folder, before, after, mean_m):
     table, _, _ = compare_clouds(reports / folder / before, reports / folder / after, Comparison())
     assert table["distance_m"].mean() == pytest.approx(mean_m, abs=2e-4)
     assert table["north_m"].median() == pytest.approx(5_650_007, abs=10.0)
@@ -70,14 +64,14 @@ def test_changes_of_clouds(reports: Path, folder: str, before: str, after: str, 
         ("text_in_degrees/lon_lat_before.xyz", "look like degrees"),
     ],
 )
-def test_clouds_that_are_refused(reports: Path, name: str, words: str) -> None:
+def test_clouds_that_are_refused(reports, name, words):
     path = reports / name
     with pytest.raises(InputError, match=words) as told:
         compare_clouds(path, path, Comparison())
     assert told.value.cure
 
 
-def test_scan_without_rotation(reports: Path) -> None:
+def test_scan_without_rotation(reports):
     cloud = read_cloud(reports / "e57_zero_quaternion" / "scan.e57")
     assert len(cloud.points) == 500
     assert np.median(cloud.points, axis=0) == pytest.approx([412_000, 5_650_000, 150], abs=20.0)
@@ -88,47 +82,7 @@ def test_scan_without_rotation(reports: Path) -> None:
     ("name", "words"),
     [("all_zero.laz", "All times are 0"), ("week_values_standard_flag.laz", "unstated GPS week")],
 )
-def test_times_of_clouds_that_are_none(reports: Path, name: str, words: str) -> None:
+def test_times_of_clouds_that_are_none(reports, name, words):
     cloud = read_cloud(reports / "las_times_that_are_none" / name)
     assert cloud.t_gps_s is None
     assert any(words in note for note in cloud.report.notes)
-
-
-def test_a_receiver_that_starts_cold(reports: Path) -> None:
-    log = read_nmea([reports / "nmea_cold_start_1980" / "log.nmea"])
-    assert log.positions["t_gps_s"].min() == TEN_O_CLOCK
-    assert log.depths["t_gps_s"].isna().sum() == log.report.losses["depths_without_time"] == 20
-
-
-def test_depths_below_the_keel_are_named(reports: Path) -> None:
-    report = describe(reports / "nmea_depth_below_keel_only" / "log.nmea")
-    assert report.counts["depths"] == 0
-    assert any("(DBK) are not read" in note for note in report.notes)
-
-
-def test_ten_pings_a_second(reports: Path) -> None:
-    """The bed falls by 2 % of the way at 3 m/s from 3.00 m on: 0.06 m a second."""
-    log = read_nmea([reports / "nmea_fast_pings" / "log.nmea"])
-    depths = log.depths
-    t = depths["t_gps_s"].to_numpy() - TEN_O_CLOCK
-    late_m = 3.0 * (t - (depths["depth_m"].to_numpy() - 3.0) / 0.06)
-    assert len(np.unique(t)) == 1200
-    assert abs(late_m.mean()) < 0.15
-
-
-def test_gns_instead_of_gga(reports: Path) -> None:
-    first = read_nmea([reports / "nmea_gns_only" / "log.nmea"]).positions.iloc[0]
-    assert first["h_ell_m"] == pytest.approx(155.0)
-    assert (first["fix"], first["n_sats"]) == ("fixed", 12)
-
-
-def test_of_two_receivers_the_better_one(reports: Path) -> None:
-    log = read_nmea([reports / "nmea_two_receivers" / "log.nmea"])
-    assert log.positions["lat_deg"].to_numpy() == pytest.approx(51.05, abs=1e-9)
-    assert any("AI" in note and "4.0 m" in note for note in log.report.notes)
-
-
-def test_a_week_counter_that_rolled_over(reports: Path) -> None:
-    notes = " ".join(read_nmea([reports / "nmea_week_rollover" / "log.nmea"]).report.notes)
-    assert "1024 weeks" in notes
-    assert "2024-06-12" in notes

@@ -4,12 +4,12 @@ import io
 import re
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import dpkt
 import numpy as np
 import pytest
 import yaml
+from numpy.testing import assert_allclose
 from PIL import Image
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import Writer as Writer2
@@ -48,38 +48,36 @@ KIND = {name: number for number, name in FORMAT.items()}
 class Bag:
     """A bag of ROS 1 or 2 that grows by messages."""
 
-    def __init__(self, path: Path, ros: int = 1) -> None:
+    def __init__(self, path, ros=1):
         self.path, self.ros = path, ros
         self.store = get_typestore(Stores.ROS1_NOETIC if ros == 1 else Stores.ROS2_HUMBLE)
         frames = "geometry_msgs/TransformStamped[] transforms"
         self.store.register(get_types_from_msg(frames, "tf2_msgs/msg/TFMessage"))
-        self.writer: Any = Writer1(path) if ros == 1 else Writer2(path, version=9)
+        self.writer = Writer1(path) if ros == 1 else Writer2(path, version=9)
         self.writer.open()
-        self.topics: dict[str, Any] = {}
+        self.topics = {}
 
-    def of(self, name: str, /, **fields: Any) -> Any:
+    def of(self, name, /, **fields):
         if name == "std_msgs/msg/Header" and self.ros == 1:
             fields["seq"] = 0
         return self.store.types[name](**fields)
 
-    def axes(self, name: str, *values: float) -> Any:
+    def axes(self, name, *values):
         """A Vector3, Point or Quaternion."""
         return self.of(f"geometry_msgs/msg/{name}", **dict(zip("xyzw", values, strict=False)))
 
-    def header(self, t_s: float, frame: str = "body") -> Any:
+    def header(self, t_s, frame="body"):
         whole = int(np.floor(t_s))
         stamp = self.of("builtin_interfaces/msg/Time", sec=whole, nanosec=round((t_s - whole) * 1e9))
         return self.of("std_msgs/msg/Header", stamp=stamp, frame_id=frame)
 
-    def say(self, topic: str, name: str, message: Any, t_s: float) -> None:
+    def say(self, topic, name, message, t_s):
         if topic not in self.topics:
             self.topics[topic] = self.writer.add_connection(topic, name, typestore=self.store)
         write = self.store.serialize_ros1 if self.ros == 1 else self.store.serialize_cdr
         self.writer.write(self.topics[topic], round(t_s * 1e9), write(message, name))
 
-    def cloud(
-        self, topic: str, t_s: float, rows: Any, *, recorded_s: float | None = None, frame: str = "os_lidar"
-    ) -> None:
+    def cloud(self, topic, t_s, rows, *, recorded_s=None, frame="os_lidar"):
         """A cloud whose fields are the columns of a structured array; 5 bytes of padding behind each."""
         padded = np.dtype(
             {
@@ -116,7 +114,7 @@ class Bag:
         )
         self.say(topic, "sensor_msgs/msg/PointCloud2", message, recorded_s or t_s)
 
-    def fix(self, t_s: float, k: int, *, status: int = 2, topic: str = "/fix", known: int = 3) -> None:
+    def fix(self, t_s, k, *, status=2, topic="/fix", known=3):
         """A fix; ``known`` of its covariance: 0 nothing, 1 and 2 the variances, 3 all of it."""
         service = self.of("sensor_msgs/msg/NavSatStatus", status=status, service=1)
         cov = np.diag([0.0004, 0.0009, 0.0016])
@@ -134,15 +132,7 @@ class Bag:
         )
         self.say(topic, "sensor_msgs/msg/NavSatFix", message, t_s)
 
-    def imu(
-        self,
-        t_s: float,
-        xyzw: tuple[float, ...],
-        *,
-        known: bool = True,
-        topic: str = "/imu/data",
-        felt: tuple[float, ...] | None = None,
-    ) -> None:
+    def imu(self, t_s, xyzw, *, known=True, topic="/imu/data", felt=None):
         felt = felt or tuple(Rotation.from_quat(xyzw).inv().apply([0.0, 0.0, 9.8]))
         orientation_covariance = np.diag([1e-6, 4e-6, 9e-6]).ravel()
         if not known:
@@ -159,9 +149,7 @@ class Bag:
         )
         self.say(topic, "sensor_msgs/msg/Imu", message, t_s)
 
-    def odometry(
-        self, t_s: float, place: tuple[float, ...], xyzw: tuple[float, ...], covariance: Any
-    ) -> None:
+    def odometry(self, t_s, place, xyzw, covariance):
         pose = self.of(
             "geometry_msgs/msg/Pose",
             position=self.axes("Point", *place),
@@ -178,7 +166,7 @@ class Bag:
         )
         self.say("/odom", "nav_msgs/msg/Odometry", message, t_s)
 
-    def mounting(self, frame: str, child: str, shift: tuple[float, ...], xyzw: tuple[float, ...]) -> None:
+    def mounting(self, frame, child, shift, xyzw):
         step = self.of(
             "geometry_msgs/msg/Transform",
             translation=self.axes("Vector3", *shift),
@@ -193,7 +181,7 @@ class Bag:
         message = self.of("tf2_msgs/msg/TFMessage", transforms=[stamped])
         self.say("/tf_static", "tf2_msgs/msg/TFMessage", message, UNIX_S)
 
-    def depth(self, topic: str, t_s: float, metres: float) -> None:
+    def depth(self, topic, t_s, metres):
         message = self.of(
             "sensor_msgs/msg/Range",
             header=self.header(t_s),
@@ -205,22 +193,22 @@ class Bag:
         )
         self.say(topic, "sensor_msgs/msg/Range", message, t_s)
 
-    def close(self) -> Path:
+    def close(self):
         self.writer.close()
         return self.path if self.ros == 1 else next(self.path.glob("*.db3"))
 
-    def lidar(self, *topics: str) -> tuple[Any, Any]:
+    def lidar(self, *topics):
         """The closed bag's reader of clouds, and its scan."""
         reader = lidar_reader([self.close()], LidarOptions(topics=list(topics)))
         return reader, reader.scan()
 
 
 @pytest.fixture
-def bag(tmp_path: Path) -> Bag:
+def bag(tmp_path):
     return Bag(tmp_path / "boat.bag")
 
 
-def points(time: str, kind: str, values: list[float]) -> Any:
+def points(time, kind, values):
     """Three points: 10 m ahead, 5 m to the left, none."""
     dtype = [("x", "f4"), ("y", "f4"), ("z", "f4"), ("intensity", "f4"), (time, kind), ("ring", "u2")]
     rows = np.zeros(3, np.dtype(dtype))
@@ -229,7 +217,7 @@ def points(time: str, kind: str, values: list[float]) -> Any:
     return rows
 
 
-def test_points_have_their_own_times(bag: Bag) -> None:
+def test_points_have_their_own_times(bag):
     for k in range(3):
         bag.cloud("/points", UNIX_S + 0.1 * k, points("time", "f4", [0.05, -0.05, 0.0]))
     reader, scan = bag.lidar()
@@ -243,14 +231,14 @@ def test_points_have_their_own_times(bag: Bag) -> None:
     assert (block.ring.tolist(), block.intensity.tolist()) == ([4, 5], [7, 255])
 
 
-def test_points_without_times_are_told(bag: Bag) -> None:
+def test_points_without_times_are_told(bag):
     bag.cloud("/points", UNIX_S, points("other", "f4", [0, 0, 0]), recorded_s=UNIX_S + 20 * 86_400)
     notes = " ".join(bag.lidar()[1].report.notes)
     assert "up to a turn of the lidar off" in notes
     assert "20.0 days ahead of the headers: recorded from a replay" in notes
 
 
-def sweep(time: str, kind: str, values: Any, n: int = 20_000) -> Any:
+def sweep(time, kind, values, n=20_000):
     """A turn of some points in 0.1 s, 10 m ahead."""
     rows = np.zeros(n, np.dtype([("x", "f4"), ("y", "f4"), ("z", "f4"), (time, kind), ("ring", "u2")]))
     rows["x"], rows[time] = 10.0, values
@@ -274,7 +262,7 @@ TURN = np.linspace(0.0, 0.1, 20_000)
         (sweep("timestamp", "f8", 1e9 * (UNIX_S + TURN)), "field timestamp, nanoseconds since 1970"),
     ],
 )
-def test_units_of_times_of_points(bag: Bag, rows: Any, told: str) -> None:
+def test_units_of_times_of_points(bag, rows, told):
     bag.cloud("/points", UNIX_S, rows)
     reader, scan = bag.lidar()
     assert [note for note in scan.report.notes if "Times of points" in note] == [f"Times of points: {told}."]
@@ -292,7 +280,7 @@ def test_units_of_times_of_points(bag: Bag, rows: Any, told: str) -> None:
         (sweep("stamp", "f4", TURN), "no times of their own"),
     ],
 )
-def test_times_that_are_none_are_told(bag: Bag, rows: Any, why: str) -> None:
+def test_times_that_are_none_are_told(bag, rows, why):
     bag.cloud("/points", UNIX_S, rows)
     reader, scan = bag.lidar()
     assert re.search(why + r".*all of a cloud get the time of its header", " ".join(scan.report.notes))
@@ -300,7 +288,7 @@ def test_times_that_are_none_are_told(bag: Bag, rows: Any, why: str) -> None:
 
 
 @pytest.mark.parametrize(("big_endian", "cut"), [(False, 0), (True, 0), (True, 1)])
-def test_organized_clouds_with_padded_rows(bag: Bag, big_endian: bool, cut: int) -> None:
+def test_organized_clouds_with_padded_rows(bag, big_endian, cut):
     """Two rows of three points, 7 bytes behind each; of a row that is cut off no point is taken."""
     order = ">" if big_endian else "<"
     one = np.zeros(6, [("x", f"{order}f4"), ("y", f"{order}f4"), ("z", f"{order}f4"), ("_", "u1")])
@@ -331,7 +319,7 @@ def test_organized_clouds_with_padded_rows(bag: Bag, big_endian: bool, cut: int)
 
 
 @pytest.mark.parametrize("timebase", [1_000_000_000 * UNIX_S, 42_000_000])
-def test_messages_of_a_livox(bag: Bag, timebase: int) -> None:
+def test_messages_of_a_livox(bag, timebase):
     """Offsets in nanoseconds from the time base, or, where that counts from the start, from the header."""
     point, cloud = (f"livox_ros_driver2/msg/Custom{name}" for name in ("Point", "Msg"))
     kinds = "uint32 offset_time\nfloat32 x\nfloat32 y\nfloat32 z\nuint8 reflectivity\nuint8 tag\nuint8 line\n"
@@ -360,13 +348,13 @@ def test_messages_of_a_livox(bag: Bag, timebase: int) -> None:
     assert (block.ring.tolist(), block.intensity.tolist()) == ([3, 3], [7, 7])
 
 
-def test_clouds_of_a_fixed_frame_are_refused(bag: Bag) -> None:
+def test_clouds_of_a_fixed_frame_are_refused(bag):
     bag.cloud("/cloud_registered", UNIX_S, sweep("t", "u4", 0), frame="map")
     with pytest.raises(InputError, match="frame map, which does not move with the lidar"):
         bag.lidar()
 
 
-def test_brightness_up_to_one_and_headers_without_stamps(bag: Bag) -> None:
+def test_brightness_up_to_one_and_headers_without_stamps(bag):
     rows = points("t", "u4", [0, 0, 0])
     rows["intensity"] = [0.2, 1.0, 0.0]
     bag.cloud("/points", 0, rows, recorded_s=UNIX_S)
@@ -377,7 +365,7 @@ def test_brightness_up_to_one_and_headers_without_stamps(bag: Bag) -> None:
     assert any("1 messages have no stamp" in note for note in scan.report.notes)
 
 
-def test_stamps_of_a_device_are_no_dates(bag: Bag) -> None:
+def test_stamps_of_a_device_are_no_dates(bag):
     bag.cloud("/points", 291.1, sweep("t", "u4", 1e9 * TURN), recorded_s=UNIX_S)
     with pytest.raises(InputError, match=r"stamps of /points that count from elsewhere: 291\.1 s"):
         bag.lidar()
@@ -395,7 +383,7 @@ HEELED = tuple(Rotation.from_euler("XZ", [5.0, 70.0], degrees=True).as_quat())
         (HEELED, (0.0, 0.1, 0.0), None),  # gravity as a filter takes it off
     ],
 )
-def test_an_imu_that_contradicts_itself_is_refused(bag: Bag, q: Any, felt: Any, why: str | None) -> None:
+def test_an_imu_that_contradicts_itself_is_refused(bag, q, felt, why):
     for k in range(5):
         bag.imu(UNIX_S + k, q, felt=felt)
         bag.fix(UNIX_S + k, k)
@@ -407,7 +395,7 @@ def test_an_imu_that_contradicts_itself_is_refused(bag: Bag, q: Any, felt: Any, 
     assert len(read_poses(files, "ins", options).states) == 5
 
 
-def test_of_two_lidars_one_is_asked_for(bag: Bag) -> None:
+def test_of_two_lidars_one_is_asked_for(bag):
     bag.cloud("/front", UNIX_S, points("time", "f4", [0, 0, 0]))
     bag.cloud("/rear", UNIX_S, points("time", "f4", [0, 0, 0])[:1])
     path = bag.close()
@@ -419,7 +407,7 @@ def test_of_two_lidars_one_is_asked_for(bag: Bag) -> None:
 
 
 @pytest.mark.parametrize("ros", [1, 2])
-def test_a_boat_in_a_bag(tmp_path: Path, ros: int) -> None:
+def test_a_boat_in_a_bag(tmp_path, ros):
     """Heading 30 degrees east of north is yaw 60 from east, roll 10 to starboard."""
     bag = Bag(tmp_path / ("boat.bag" if ros == 1 else "boat"), ros)
     q = tuple(Rotation.from_euler("ZYX", [60.0, 0.0, 10.0], degrees=True).as_quat())
@@ -444,18 +432,18 @@ def test_a_boat_in_a_bag(tmp_path: Path, ros: int) -> None:
     fix = read_bag_positions([path], TrackOptions()).positions
     assert len(fix) == 19
     sigmas = fix[["sigma_east_m", "sigma_north_m", "sigma_up_m"]].to_numpy()
-    np.testing.assert_allclose(sigmas[:3], [[0.02, 0.03, 0.04]] * 3)
+    assert_allclose(sigmas[:3], [[0.02, 0.03, 0.04]] * 3)
     covariances = fix[["cov_en_m2", "cov_eu_m2", "cov_nu_m2"]].to_numpy()
-    np.testing.assert_allclose(covariances[0], [1e-4, -2e-4, 3e-4])
+    assert_allclose(covariances[0], [1e-4, -2e-4, 3e-4])
     assert np.isnan(sigmas[3:]).all()
     assert np.isnan(covariances[1:]).all()
-    np.testing.assert_allclose(fix[["lat_deg", "lon_deg", "h_ell_m"]].iloc[9], [51.00001, 13.0, 146.5])
-    np.testing.assert_allclose(fix["t_gps_s"].iloc[9], gps_from_unix(UNIX_S + 2.0))
+    assert_allclose(fix[["lat_deg", "lon_deg", "h_ell_m"]].iloc[9], [51.00001, 13.0, 146.5])
+    assert_allclose(fix["t_gps_s"].iloc[9], gps_from_unix(UNIX_S + 2.0))
     depths = read_depths([path]).depths
     assert depths["depth_m"].value_counts().to_dict() == {4.0: 19, 0.0: 1}
 
 
-def test_poses_of_odometry_lie_at_the_origin_of_the_campaign(bag: Bag) -> None:
+def test_poses_of_odometry_lie_at_the_origin_of_the_campaign(bag):
     """100 m east, 50 m north; bow 20 degrees east of north, that is yaw 70; roll 10."""
     origin = LocalFrame(lat_deg=51.0, lon_deg=13.0, h_ell_m=100.0)
     attitude = Rotation.from_euler("ZYX", [70.0, 0.0, 10.0], degrees=True)
@@ -483,7 +471,7 @@ def test_poses_of_odometry_lie_at_the_origin_of_the_campaign(bag: Bag) -> None:
     assert any("frame map of the poses is taken for the local frame" in note for note in log.report.notes)
 
 
-def test_topics_that_are_named_are_taken(bag: Bag) -> None:
+def test_topics_that_are_named_are_taken(bag):
     """Two attitudes, two receivers, two sounders: each reader takes those that are named behind the file."""
     heeled = tuple(Rotation.from_euler("X", 10.0, degrees=True).as_quat())
     for k in range(4):
@@ -513,13 +501,13 @@ def test_topics_that_are_named_are_taken(bag: Bag) -> None:
     assert positions["lat_deg"].iloc[0] == pytest.approx(51.001)
 
 
-def test_depths_without_positions_are_read(bag: Bag) -> None:
+def test_depths_without_positions_are_read(bag):
     bag.depth("/echo", UNIX_S, 3.0)
     log = read_depths([bag.close()])
     assert (len(log.depths), len(log.positions), log.report.synchronised) == (1, 0, True)
 
 
-def test_mounting_of_tf_static(bag: Bag) -> None:
+def test_mounting_of_tf_static(bag):
     """The lidar is 1 m ahead of the INS, 0.2 to starboard, 0.5 above, and looks to the left by 30 degrees."""
     bag.imu(UNIX_S, LEVEL)
     bag.fix(UNIX_S, 0)
@@ -542,7 +530,7 @@ def test_mounting_of_tf_static(bag: Bag) -> None:
 
 
 @pytest.mark.parametrize("maker", ["velodyne", "ouster"])
-def test_packets_of_a_bag_become_a_capture(bag: Bag, maker: str) -> None:
+def test_packets_of_a_bag_become_a_capture(bag, maker):
     """Each packet with its time and its port, an Ouster's with the metadata beside it; read by dpkt."""
     times = UNIX_S + np.array([0.25, 0.250001, 1.75])
     data = [np.random.default_rng(k).integers(0, 256, 1206).astype(np.uint8) for k in range(3)]
@@ -581,9 +569,7 @@ def test_packets_of_a_bag_become_a_capture(bag: Bag, maker: str) -> None:
         assert ip.data.data == values.tobytes()
 
 
-def test_a_new_campaign_names_the_topics(
-    tmp_path: Path, bag: Bag, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_new_campaign_names_the_topics(tmp_path, bag, capsys):
     """Of two lidars the fuller is named, the other told; the plan knows file and topic apart."""
     for k in range(4):
         bag.cloud("/front", UNIX_S + k, points("time", "f4", [0, 0, 0]))
@@ -612,9 +598,7 @@ def test_a_new_campaign_names_the_topics(
     assert load_campaign(folder / "river.yaml").topics("lidar") == ["/front", "/rear"]
 
 
-def test_images_of_a_bag_are_photographs_with_times(
-    tmp_path: Path, bag: Bag, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_images_of_a_bag_are_photographs_with_times(tmp_path, bag, capsys):
     """A red pixel of a raw image in blue, green, red stays red; a JPEG stays what it was, byte for byte."""
     out = tmp_path / "photos"
     jpeg = io.BytesIO()
@@ -649,7 +633,7 @@ def test_images_of_a_bag_are_photographs_with_times(
         ]
 
 
-def test_an_imu_without_orientation_is_no_pose(bag: Bag) -> None:
+def test_an_imu_without_orientation_is_no_pose(bag):
     bag.fix(UNIX_S, 0)
     bag.imu(UNIX_S, LEVEL, known=False)
     path = bag.close()
@@ -657,7 +641,7 @@ def test_an_imu_without_orientation_is_no_pose(bag: Bag) -> None:
         read_poses([path], "ins")
 
 
-def test_damaged_bags_are_read_or_refused(tmp_path: Path, bag: Bag, fuzz: Any) -> None:
+def test_damaged_bags_are_read_or_refused(tmp_path, bag, fuzz):
     for k in range(20):
         bag.fix(UNIX_S + k, k)
     read = partial(read_bag_positions, options=TrackOptions())
@@ -666,7 +650,7 @@ def test_damaged_bags_are_read_or_refused(tmp_path: Path, bag: Bag, fuzz: Any) -
     fuzz.check(read=0.01, troubled=0.8)  # an index that is damaged is mended by the tools of ROS
 
 
-def test_a_cut_bag_is_refused_with_its_cure(tmp_path: Path, bag: Bag) -> None:
+def test_a_cut_bag_is_refused_with_its_cure(tmp_path, bag):
     for k in range(50):
         bag.fix(UNIX_S + k, k)
     path = bag.close()
@@ -678,7 +662,7 @@ def test_a_cut_bag_is_refused_with_its_cure(tmp_path: Path, bag: Bag) -> None:
 
 
 @pytest.mark.real
-def test_real_bags(data_dir: Path) -> None:
+def test_real_bags(data_dir):
     """Points, stamps, the 237.8 days of a replay; as many packets of a Velodyne as its capture has."""
     today = data_dir / "today"
     reader = lidar_reader([today / "ros1_luminar_pointcloud2/test.bag"])
@@ -695,7 +679,7 @@ def test_real_bags(data_dir: Path) -> None:
 
 
 @pytest.mark.real
-def test_real_packets_of_an_ouster(data_dir: Path) -> None:
+def test_real_packets_of_an_ouster(data_dir):
     """Columns and device time as ouster-sdk's own reader of the bag states them."""
     pytest.importorskip("ouster.sdk.core", reason="the extra thalweg[ouster] is not installed")
     reader = lidar_reader([data_dir / "today/ros1_ouster_packets/512x10_raw.bag"])

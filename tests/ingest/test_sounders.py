@@ -3,8 +3,6 @@
 import math
 import struct
 from functools import partial
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -22,7 +20,7 @@ RADIUS_M = 6_356_752.3142
 UNIX_S = 1_700_000_000
 
 
-def frame(version: int, at: int, k: int, channel: int, depth_ft: float, unix: int) -> bytes:
+def frame(version, at, k, channel, depth_ft, unix):
     size, places = {2: (160, (28, 32, 64, 60, 108, 112, 140)), 3: (184, (8, 12, 48, 40, 92, 96, 124))}[
         version
     ]
@@ -38,7 +36,7 @@ def frame(version: int, at: int, k: int, channel: int, depth_ft: float, unix: in
     return bytes(out)
 
 
-def sonar_log(version: int, *, unix: int = UNIX_S, n: int = 20, blind: int = 2) -> bytes:
+def sonar_log(version, *, unix=UNIX_S, n=20, blind=2):
     """Two channels a ping; one misses the bottom in every second one."""
     out = bytearray(struct.pack("<HHHH", version, 1, 1970, 0))
     for k in range(n):
@@ -49,12 +47,11 @@ def sonar_log(version: int, *, unix: int = UNIX_S, n: int = 20, blind: int = 2) 
 
 
 @pytest.mark.parametrize("version", [2, 3])
-def test_lowrance_has_metres_places_and_times(tmp_path: Path, version: int) -> None:
+def test_lowrance_has_metres_places_and_times(tmp_path, version):
     path = tmp_path / "Sonar0001.bin"
     path.write_bytes(sonar_log(version))
     assert recognise(path) == "lowrance"
     found = soundings_table(path)
-    assert found is not None
     table, notes = found
     assert table["depth_m"].tolist() == pytest.approx(((10.0 + np.arange(20)) * 0.3048).tolist())
     # whole metres of Mercator are less than a metre on the ground
@@ -64,7 +61,7 @@ def test_lowrance_has_metres_places_and_times(tmp_path: Path, version: int) -> N
     assert any("primary channel" in note for note in notes)
 
 
-def test_lowrance_takes_the_channel_that_saw_the_bottom_most(tmp_path: Path) -> None:
+def test_lowrance_takes_the_channel_that_saw_the_bottom_most(tmp_path):
     """The last ping lies beyond the map."""
     path = tmp_path / "log.sl2"
     data = bytearray(sonar_log(2, blind=0))
@@ -76,16 +73,15 @@ def test_lowrance_takes_the_channel_that_saw_the_bottom_most(tmp_path: Path) -> 
     assert log.report.counts["pings_without_place"] == 1
 
 
-def test_lowrance_without_a_date_has_soundings_without_time(tmp_path: Path) -> None:
+def test_lowrance_without_a_date_has_soundings_without_time(tmp_path):
     path = tmp_path / "log.sl2"
     path.write_bytes(sonar_log(2, unix=0xFFFFFFFF))
     found = soundings_table(path)
-    assert found is not None
     assert list(found[0]) == ["latitude", "longitude", "depth_m"]
     assert not describe(path).synchronised
 
 
-def test_lowrance_damage_is_counted_and_passed(tmp_path: Path) -> None:
+def test_lowrance_damage_is_counted_and_passed(tmp_path):
     whole = sonar_log(2)
     path = tmp_path / "log.sl2"
     hurt = bytearray(whole)
@@ -96,7 +92,7 @@ def test_lowrance_damage_is_counted_and_passed(tmp_path: Path) -> None:
     assert report.counts["pings"] == 19
 
 
-def test_lowrance_without_bottom_is_refused(tmp_path: Path) -> None:
+def test_lowrance_without_bottom_is_refused(tmp_path):
     """No depth, one deeper than any sea, and none that is a number."""
     path = tmp_path / "log.sl2"
     depths_ft = [0.0, 4e4, math.nan]
@@ -106,9 +102,7 @@ def test_lowrance_without_bottom_is_refused(tmp_path: Path) -> None:
         describe(path)
 
 
-def ensemble(
-    k: int, *, vertical_m: float | None, beams_m: Any, heading_deg: float, quality: int = 4
-) -> bytes:
+def ensemble(k, *, vertical_m, beams_m, heading_deg, quality=4):
     """An ensemble at 51 N, 13 W, level, beams of 20 degrees; its clock is 8 h 0 min 2 s behind UTC."""
     fixed = bytearray(59)
     fixed[4] = 0b0000_0001
@@ -139,7 +133,7 @@ def ensemble(
     return body + struct.pack("<H", sum(body) & 0xFFFF)
 
 
-def test_an_adcp_gives_its_vertical_beam_on_gnss_time(tmp_path: Path) -> None:
+def test_an_adcp_gives_its_vertical_beam_on_gnss_time(tmp_path):
     path = tmp_path / "river.PD0"
     pings = [ensemble(k, vertical_m=4.0 if k else 0.0, beams_m=3.9, heading_deg=0.0) for k in range(10)]
     path.write_bytes(b"".join(pings) + pings[0][:40])
@@ -153,15 +147,14 @@ def test_an_adcp_gives_its_vertical_beam_on_gnss_time(tmp_path: Path) -> None:
     notes = " ".join(log.report.notes)
     assert "28,802.00 s behind GNSS: it may show local time" in notes
     assert "-0.10 m from it" in notes
-    assert len(read_depths([path]).depths) == 10  # type: ignore[arg-type]
+    assert len(read_depths([path]).depths) == 10
 
 
-def test_slanted_beams_hit_where_they_look(tmp_path: Path) -> None:
+def test_slanted_beams_hit_where_they_look(tmp_path):
     """Heading east: beam 3 looks east, beam 1 to starboard is south, all by 4 m times tan 20 degrees."""
     path = tmp_path / "river.PD0"
     path.write_bytes(ensemble(0, vertical_m=None, beams_m=4.0, heading_deg=90.0))
     found = soundings_table(path)
-    assert found is not None
     table, away = found[0], 4.0 * math.tan(math.radians(20.0))
     north = (table["latitude"] - 51.0) * math.radians(1.0) * 6_371_000.0
     east = (table["longitude"] + 13.0) * math.radians(1.0) * 6_371_000.0 * math.cos(math.radians(51.0))
@@ -170,10 +163,10 @@ def test_slanted_beams_hit_where_they_look(tmp_path: Path) -> None:
     assert table["depth_m"].tolist() == pytest.approx([4.0] * 4)
 
 
-def test_a_lost_beam_leaves_the_others(tmp_path: Path) -> None:
+def test_a_lost_beam_leaves_the_others(tmp_path):
     """A ping's mean of three beams would lie aside; each of them is a sounding where it hits."""
     path = tmp_path / "river.PD0"
-    whole: dict[str, Any] = {"vertical_m": None, "heading_deg": 0.0}
+    whole = {"vertical_m": None, "heading_deg": 0.0}
     path.write_bytes(ensemble(0, beams_m=4.0, **whole) + ensemble(1, beams_m=(4.0, 0.0, 4.0, 4.0), **whole))
     log = read_pd0([path], TrackOptions())
     assert log.depths["depth_m"].tolist() == [4.0, 0.0]
@@ -181,19 +174,19 @@ def test_a_lost_beam_leaves_the_others(tmp_path: Path) -> None:
     assert log.soundings["depth_m"].tolist() == pytest.approx([4.0] * 7)
 
 
-def test_an_adcp_without_fixes_is_refused(tmp_path: Path) -> None:
+def test_an_adcp_without_fixes_is_refused(tmp_path):
     path = tmp_path / "river.PD0"
     path.write_bytes(ensemble(0, vertical_m=4.0, beams_m=4.0, heading_deg=0.0, quality=0))
     with pytest.raises(InputError, match="1 ensembles without a position"):
         describe(path)
 
 
-def sontek_export(path: Path, *, unit: str = "m", vertical: float = 3.0, **changed: Any) -> Path:
+def sontek_export(path, *, unit="m", vertical=3.0, **changed):
     """Four rows at 1 s, the second without a fix, the third without a bottom; the clock shows local time."""
     scale = {"m": 1.0, "ft": 1 / 0.3048}.get(unit, 1.0)
     depth = np.array([vertical, vertical, 0.0, vertical + 1.0 if vertical else 0.0])
     utc = np.array([235_957.9, 235_958.9, 235_959.9, 0.9])
-    held: dict[str, Any] = {
+    held = {
         "Setup": {"sensorDepth": 0.25 * scale, "Units": {"sensorDepth": unit}},
         "System": {"Time": 790_387_200.0 + 3_605.0 + np.arange(4.0)},  # 2025-01-17 01:00:05 local: UTC + 1 h
         "GPS": {
@@ -220,7 +213,7 @@ def sontek_export(path: Path, *, unit: str = "m", vertical: float = 3.0, **chang
 
 
 @pytest.mark.parametrize("unit", ["m", "ft"])
-def test_sontek_depths_are_below_the_water_with_the_day_of_gnss(tmp_path: Path, unit: str) -> None:
+def test_sontek_depths_are_below_the_water_with_the_day_of_gnss(tmp_path, unit):
     path = sontek_export(tmp_path / "transect.mat", unit=unit)
     assert recognise(path) == "sontek"
     log = read_sontek([path], TrackOptions())
@@ -239,13 +232,13 @@ def test_sontek_depths_are_below_the_water_with_the_day_of_gnss(tmp_path: Path, 
     assert "the draught of 0.25 m" in notes
 
 
-def test_sontek_without_a_vertical_beam_takes_the_slanted_ones(tmp_path: Path) -> None:
+def test_sontek_without_a_vertical_beam_takes_the_slanted_ones(tmp_path):
     log = read_sontek([sontek_export(tmp_path / "transect.mat", vertical=0.0)], TrackOptions())
     assert log.soundings["depth_m"].tolist() == pytest.approx([2.9, 2.9, 3.9])
     assert any("No vertical beam" in note for note in log.report.notes)
 
 
-def test_clocks_of_two_transects_may_be_off_otherwise(tmp_path: Path) -> None:
+def test_clocks_of_two_transects_may_be_off_otherwise(tmp_path):
     """The second export's clock is 40 s further off, its draught is larger: each has its own."""
     first = sontek_export(tmp_path / "1.mat")
     later = 790_387_200.0 + 3_645.0 + np.arange(4.0)
@@ -265,19 +258,18 @@ def test_clocks_of_two_transects_may_be_off_otherwise(tmp_path: Path) -> None:
         ({"GPS__GPS_Quality": np.zeros(4)}, "4 rows without a position"),
     ],
 )
-def test_other_matlab_files_are_refused(tmp_path: Path, changed: dict[str, Any], found: str) -> None:
+def test_other_matlab_files_are_refused(tmp_path, changed, found):
     with pytest.raises(InputError, match=found):
         describe(sontek_export(tmp_path / "transect.mat", **changed))
 
 
 @pytest.mark.real
 @pytest.mark.parametrize(("name", "n"), [("20250117160335", 361), ("20250130113805", 184)])
-def test_a_real_sontek_is_as_the_makers_table(data_dir: Path, name: str, n: int) -> None:
+def test_a_real_sontek_is_as_the_makers_table(data_dir, name, n):
     """RiverSurveyor Live wrote both: its table has hundredths of a metre and of a second of arc."""
     folder = data_dir / "today/sontek_m9_caputh"
     log = read_sontek([folder / f"{name}.mat"], TrackOptions())
     found = soundings_table(folder / f"{name}.mat")
-    assert found is not None
     table = found[0]
     assert len(table) == n
     theirs = pd.read_csv(folder / f"{name}.sum", encoding="cp1252").loc[table.index]
@@ -287,7 +279,7 @@ def test_a_real_sontek_is_as_the_makers_table(data_dir: Path, name: str, n: int)
     assert any("ahead of GNSS: it may show local time" in note for note in log.report.notes)
 
 
-def test_raw_data_of_hypack_and_riversurveyor_say_what_to_do(tmp_path: Path) -> None:
+def test_raw_data_of_hypack_and_riversurveyor_say_what_to_do(tmp_path):
     hypack, sontek = tmp_path / "001_1420.RAW", tmp_path / "20250117160238.riv"
     hypack.write_text("FTP NEW 2\nVER 9.0\nTND 14:20:33 11/19/2009 0\nEOH\nEC1 1 51633.120 3.45\n")
     sontek.write_bytes(b"YDFF\x03\0Sontek\0\0" + bytes(500))
@@ -297,10 +289,9 @@ def test_raw_data_of_hypack_and_riversurveyor_say_what_to_do(tmp_path: Path) -> 
 
 
 @pytest.mark.real
-def test_a_real_lowrance_is_as_sonarlight_reads_it(data_dir: Path) -> None:
+def test_a_real_lowrance_is_as_sonarlight_reads_it(data_dir):
     path = data_dir / "today/lowrance_sl2/input.sl2"
     found = soundings_table(path)
-    assert found is not None
     table = found[0]
     assert (len(table), table["depth_m"].median()) == (111, pytest.approx(4.062375, abs=1e-5))
     assert (table["latitude"].min(), table["latitude"].max()) == pytest.approx(
@@ -312,7 +303,7 @@ def test_a_real_lowrance_is_as_sonarlight_reads_it(data_dir: Path) -> None:
 
 
 @pytest.mark.real
-def test_a_real_adcp_is_as_mhkit_reads_it(data_dir: Path) -> None:
+def test_a_real_adcp_is_as_mhkit_reads_it(data_dir):
     """mhkit: 272 ensembles without the last, vertical beam 270, clock 1.67 s behind by the first pair."""
     path = data_dir / "today/trdi_riverpro_tanana/RiverPro_test01.PD0"
     log = read_pd0([path], TrackOptions())
@@ -326,7 +317,7 @@ def test_a_real_adcp_is_as_mhkit_reads_it(data_dir: Path) -> None:
     assert any("1.7" in note and "behind GNSS" in note for note in log.report.notes)
 
 
-def test_damaged_logs_are_read_or_refused(tmp_path: Path, fuzz: Any) -> None:
+def test_damaged_logs_are_read_or_refused(tmp_path, fuzz):
     read = partial(read_lowrance, options=TrackOptions())
     for data, log in read_or_refused(fuzz, tmp_path / "fuzz.sl2", read, sonar_log(2)):
         assert len(log.soundings) <= len(data) / 160
@@ -335,7 +326,7 @@ def test_damaged_logs_are_read_or_refused(tmp_path: Path, fuzz: Any) -> None:
     fuzz.check(read=0.5, troubled=0.2)
 
 
-def test_tables_beside_a_log_are_no_second_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_tables_beside_a_log_are_no_second_one(tmp_path, capsys):
     (tmp_path / "logs").mkdir()
     (tmp_path / "logs/day.sl2").write_bytes(sonar_log(2))
     (tmp_path / "logs/day.csv").write_text("time,depth\n2024-06-12T10:00:00Z,3.1\n2024-06-12T10:00:01Z,3.2\n")

@@ -1,10 +1,9 @@
 """Tables as people and programs write them: what is read, what is asked, what is counted."""
 
-from pathlib import Path
-
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from pyproj import CRS
 
 from tests.conftest import check_whole, time_limit
@@ -16,7 +15,7 @@ UTM = CRS("EPSG:32633")
 PLACES = np.array([[412000.0, 5650000.0], [412100.0, 5650100.0], [412030.0, 5650200.0]])
 
 
-def write(folder: Path, text: str, encoding: str = "utf-8") -> Path:
+def write(folder, text, encoding="utf-8"):
     path = folder / "table.csv"
     path.write_bytes(text.encode(encoding))
     return path
@@ -25,7 +24,7 @@ def write(folder: Path, text: str, encoding: str = "utf-8") -> Path:
 # ---------------------------------------------------------------- units and values that stand for none
 
 
-def test_names_of_columns_tell_quantity_and_unit() -> None:
+def test_names_of_columns_tell_quantity_and_unit():
     told = {
         "WaterDepthFt": ("depth", FOOT.metres),
         "Depth_in_Feet": ("depth", FOOT.metres),
@@ -45,7 +44,7 @@ def test_names_of_columns_tell_quantity_and_unit() -> None:
     assert column_of("depth_dbar").foreign == "dbar"
 
 
-def test_nothing_is_met_exactly() -> None:
+def test_nothing_is_met_exactly():
     depths = [0.0, -9999.0, 999.0, 998.9, 3.4028235e38, np.nan, 2.5, -32768.0]
     assert is_nothing(depths, "depth").tolist() == [True, True, True, False, True, True, False, True]
     assert not is_nothing([0.0, 12.0, -3.0], "height").any()
@@ -56,7 +55,7 @@ def test_nothing_is_met_exactly() -> None:
 # ---------------------------------------------------------------- rows
 
 
-def test_rows_that_are_not_taken_are_counted_with_their_first_line(tmp_path: Path) -> None:
+def test_rows_that_are_not_taken_are_counted_with_their_first_line(tmp_path):
     rows = [f"{412000 + k},5650000,{1 + k / 50:.2f}" for k in range(50)]
     rows[3] = "412003,5650000,-9999"
     rows[7] = "412007,5650000,--"
@@ -80,15 +79,15 @@ def test_rows_that_are_not_taken_are_counted_with_their_first_line(tmp_path: Pat
     assert "1 row with 0, 0, which is no place, in column east, north, left out, the first in line 19" in told
 
 
-def test_a_large_file_of_numbers_is_the_same_as_a_small_one(tmp_path: Path, monkeypatch) -> None:
+def test_a_large_file_of_numbers_is_the_same_as_a_small_one(tmp_path, monkeypatch):
     text = "y x z\n" + "\n".join(f"{5650000 + k} {412000 + 2 * k} {k / 8}" for k in range(60))
     slow = read_text_table(write(tmp_path, text))
     monkeypatch.setattr("thalweg.ingest.tables._LARGE", 10)
     fast = read_text_table(tmp_path / "table.csv")
     assert fast.cells[0].dtype.kind == "f"
     assert slow.cells[0].dtype.kind != "f"
-    np.testing.assert_array_equal(fast.places(UTM).xy_m, slow.places(UTM).xy_m)
-    np.testing.assert_array_equal(fast.numbers(2), slow.numbers(2))
+    assert_array_equal(fast.places(UTM).xy_m, slow.places(UTM).xy_m)
+    assert_array_equal(fast.numbers(2), slow.numbers(2))
     assert fast.text(0) == slow.text(0)
     assert fast.line.tolist() == slow.line.tolist()
 
@@ -107,14 +106,14 @@ REFUSED = {
 }
 
 
-def places_and_depths(path: Path) -> None:
+def places_and_depths(path):
     table = read_text_table(path, bare=("x", "y", "z"))
     table.places(UTM)
     table.numbers(table.find("depth"), "depth")
 
 
 @pytest.mark.parametrize("case", REFUSED)
-def test_what_cannot_be_told_is_asked(case: str, tmp_path: Path) -> None:
+def test_what_cannot_be_told_is_asked(case, tmp_path):
     text, words = REFUSED[case]
     path = write(tmp_path, text)
     with pytest.raises(InputError) as caught:
@@ -123,19 +122,19 @@ def test_what_cannot_be_told_is_asked(case: str, tmp_path: Path) -> None:
     check_whole(caught.value)
 
 
-def test_latin_1_is_read_and_said(tmp_path: Path) -> None:
+def test_latin_1_is_read_and_said(tmp_path):
     table = read_text_table(write(tmp_path, "x;y;z;Gewässer\n1;2;3;Weiße Elster\n", "latin-1"))
     assert table.notes == ["The text is no UTF-8 and is read as Windows-1252 (Latin-1)."]
     assert table.text(3) == ["Weiße Elster"]
 
 
-def test_names_of_rows_that_r_leaves_without_a_name(tmp_path: Path) -> None:
+def test_names_of_rows_that_r_leaves_without_a_name(tmp_path):
     table = read_text_table(write(tmp_path, '"x" "y" "z"\n"1" 10 20 30\n"2" 11 21 31\n'))
     assert [c.name for c in table.columns] == ["row", "x", "y", "z"]
     assert table.numbers(table.find("east")).tolist() == [10.0, 11.0]
 
 
-def test_lines_above_the_names_may_hold_values(tmp_path: Path) -> None:
+def test_lines_above_the_names_may_hold_values(tmp_path):
     text = "Boat export\nSite: Elbe\nDate: 2024-06-18\n\nEasting Northing Depth\n" + "1 2 3.5\n2 3 3.6\n" * 4
     table = read_text_table(write(tmp_path, text))
     assert table.listed() == "Easting, Northing, Depth"
@@ -144,7 +143,7 @@ def test_lines_above_the_names_may_hold_values(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("line", ["Units: US feet", "# unit = ft", "# depths in fathoms, WGS 84"])
-def test_a_unit_above_columns_that_name_none_is_asked_about(line: str, tmp_path: Path) -> None:
+def test_a_unit_above_columns_that_name_none_is_asked_about(line, tmp_path):
     with pytest.raises(InputError, match="beside columns that name no unit") as caught:
         read_text_table(write(tmp_path, f"{line}\nx y depth\n1 2 3.5\n2 3 3.6\n"))
     check_whole(caught.value)
@@ -153,14 +152,14 @@ def test_a_unit_above_columns_that_name_none_is_asked_about(line: str, tmp_path:
     assert len(read_text_table(write(tmp_path, "# Units: m\nx y depth\n1 2 3.5\n2 3 3.6\n"))) == 2
 
 
-def test_a_column_of_units_is_asked_about_too(tmp_path: Path) -> None:
+def test_a_column_of_units_is_asked_about_too(tmp_path):
     with pytest.raises(InputError, match="'unit: ft' beside columns that name no unit") as caught:
         read_text_table(write(tmp_path, "lat,lon,depth,units\n51,13,3.5,ft\n51,13,3.6,ft\n"))
     check_whole(caught.value)
     assert len(read_text_table(write(tmp_path, "lat,lon,depth,units\n51,13,3.5,m\n51,13,3.6,m\n"))) == 2
 
 
-def test_parts_of_angles_are_no_angles(tmp_path: Path) -> None:
+def test_parts_of_angles_are_no_angles(tmp_path):
     """Degrees, minutes and seconds in three columns: the minutes are no latitude."""
     table = read_text_table(
         write(tmp_path, "lat_d,lat_m,lat_s,lon_d,lon_m,lon_s,depth (in)\n51,3,5,13,15,0,60\n")
@@ -170,7 +169,7 @@ def test_parts_of_angles_are_no_angles(tmp_path: Path) -> None:
     assert table.numbers(6, "depth").tolist() == [1.524]
 
 
-def test_nines_beyond_all_other_depths_stand_for_none(tmp_path: Path) -> None:
+def test_nines_beyond_all_other_depths_stand_for_none(tmp_path):
     """99.9 m in a pond of 2 m; in a lake of 60 m it is a depth, and where a user says so."""
     pond, lake = "depth\n1.5\n99.9\n2.0\n", "depth\n60\n99.9\n50\n"
     assert np.isnan(read_text_table(write(tmp_path, pond)).numbers(0, "depth")).tolist() == [0, 1, 0]
@@ -178,7 +177,7 @@ def test_nines_beyond_all_other_depths_stand_for_none(tmp_path: Path) -> None:
     assert np.isfinite(read_text_table(write(tmp_path, lake)).numbers(0, "depth")).all()
 
 
-def test_names_in_other_languages_are_quantities(tmp_path: Path) -> None:
+def test_names_in_other_languages_are_quantities(tmp_path):
     for head in ("Est;Nord;Profondità", "Este;Norte;Profundidad (m)", "X/Ost;Y/Nord;Wassertiefe [m]"):
         table = read_text_table(write(tmp_path, f"{head}\n1;2;3\n2;3;4\n"))
         assert [table.find(q) for q in ("east", "north", "depth")] == [0, 1, 2], head
@@ -191,13 +190,13 @@ def test_names_in_other_languages_are_quantities(tmp_path: Path) -> None:
         ("<html><table><tr><td>lat</td></tr></table></html>", "a page or a workbook in XML"),
     ],
 )
-def test_files_of_another_form_are_named(text: str, words: str, tmp_path: Path) -> None:
+def test_files_of_another_form_are_named(text, words, tmp_path):
     with pytest.raises(InputError, match=words) as caught:
         read_text_table(write(tmp_path, text))
     check_whole(caught.value)
 
 
-def test_a_line_of_dashes_below_the_names(tmp_path: Path) -> None:
+def test_a_line_of_dashes_below_the_names(tmp_path):
     table = read_text_table(
         write(tmp_path, "  East  North  Depth\n  ----  -----  -----\n" + "  10.0  20.0  1.5\n" * 3)
     )
@@ -208,12 +207,12 @@ def test_a_line_of_dashes_below_the_names(tmp_path: Path) -> None:
 # ---------------------------------------------------------------- angles and times
 
 
-def test_longitudes_counted_all_around(tmp_path: Path) -> None:
+def test_longitudes_counted_all_around(tmp_path):
     table = read_text_table(write(tmp_path, "lat,lon\n44.5,286.75\n44.5,286.76\n"))
-    np.testing.assert_allclose(table.angles("lon"), [-73.25, -73.24], atol=1e-12)
+    assert_allclose(table.angles("lon"), [-73.25, -73.24], atol=1e-12)
 
 
-def test_angles_as_people_write_them(tmp_path: Path) -> None:
+def test_angles_as_people_write_them(tmp_path):
     rows = [
         "51.0515;13.25",
         "51 3 5.4;13 15 0",
@@ -222,8 +221,8 @@ def test_angles_as_people_write_them(tmp_path: Path) -> None:
         "51 3.09 N;13 15 E",
     ]
     table = read_text_table(write(tmp_path, "lat;lon\n" + "\n".join(rows) + "\n"))
-    np.testing.assert_allclose(table.angles("lat"), 51.0515, atol=1e-12)
-    np.testing.assert_allclose(table.angles("lon"), 13.25, atol=1e-12)
+    assert_allclose(table.angles("lat"), 51.0515, atol=1e-12)
+    assert_allclose(table.angles("lon"), 13.25, atol=1e-12)
     south = read_text_table(write(tmp_path, "lat,ns,lon,ew\n33.5,S,70.25,W\n33.5,S,70.25,W\n"))
     assert south.angles("lat").tolist() == [-33.5, -33.5]
     assert south.angles("lon").tolist() == [-70.25, -70.25]
@@ -263,14 +262,14 @@ def test_angles_as_people_write_them(tmp_path: Path) -> None:
         ("Date/Time", ["6/13/2024 1:30:00 PM", "6/13/2024 1:30:01 PM"], "2024-06-13T13:30:00", "no zone"),
     ],
 )
-def test_times(tmp_path: Path, head: str, rows: list[str], first: str, note: str) -> None:
+def test_times(tmp_path, head, rows, first, note):
     table = read_text_table(write(tmp_path, f"{head},x\n" + "".join(f"{r},1\n" for r in rows)))
     unix, notes = table.times()
     assert unix[0] == pytest.approx(pd.Timestamp(first, tz="UTC").timestamp(), abs=1e-6)
     assert (note in " ".join(notes)) if note else not notes
 
 
-def test_times_that_are_not_understood_are_said(tmp_path: Path) -> None:
+def test_times_that_are_not_understood_are_said(tmp_path):
     """Day numbers of a spreadsheet, and seconds of a day: no time is made up, and the column is named."""
     for value in ("45461.39583", "12 o'clock"):
         unix, notes = read_text_table(write(tmp_path, f"time,x\n{value},1\n{value},2\n")).times()
@@ -278,7 +277,7 @@ def test_times_that_are_not_understood_are_said(tmp_path: Path) -> None:
         assert notes == [f"column time is not read: '{value}' is no time with a date"]
 
 
-def test_days_and_months_that_may_be_exchanged_are_asked_about(tmp_path: Path) -> None:
+def test_days_and_months_that_may_be_exchanged_are_asked_about(tmp_path):
     table = read_text_table(write(tmp_path, "date,x\n03/04/2024,1\n03/05/2024,1\n"))
     with pytest.raises(InputError, match="dates such as 03/04/2024") as caught:
         table.times()
@@ -288,7 +287,7 @@ def test_days_and_months_that_may_be_exchanged_are_asked_about(tmp_path: Path) -
 # ---------------------------------------------------------------- places
 
 
-def test_a_map_in_feet_comes_into_metres(tmp_path: Path) -> None:
+def test_a_map_in_feet_comes_into_metres(tmp_path):
     """New York in feet of the US survey: by the CRS, by the names of the columns, by degrees."""
     feet, metres = CRS("EPSG:2263"), np.array([[300_000.0, 65_000.0], [300_100.0, 65_020.0]])
     foot = 1200 / 3937
@@ -305,7 +304,7 @@ def test_a_map_in_feet_comes_into_metres(tmp_path: Path) -> None:
         table.places(feet)
 
 
-def test_a_line_of_a_megabyte_is_no_name_for_long() -> None:
+def test_a_line_of_a_megabyte_is_no_name_for_long():
     """Each of its brackets was looked for to its end: minutes."""
     with time_limit(5.0, "a line of brackets"):
         assert column_of("[" * 1_000_000).unit is None

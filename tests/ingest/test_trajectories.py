@@ -1,10 +1,10 @@
 """Trajectories of other programs: conventions by hand, what is not stated is asked for."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from thalweg.core import InputError, LocalFrame, gps_from_unix, gps_from_week, rotation_enu_body
 from thalweg.ingest import TrackOptions
@@ -19,7 +19,7 @@ T0 = 1_700_000_000
 NOSE_UP, RIGHT_DOWN, HEADING = np.deg2rad([3.0, -2.0, 70.0])
 
 
-def write(kind: str, path: Path, body_axes: str) -> Path:
+def write(kind, path, body_axes):
     """Three poses along the course; rotation of the body with these axes, written out by hand."""
     R = rotation_enu_body(RIGHT_DOWN, NOSE_UP, HEADING) @ BODY_AXES[body_axes].T
     w = 0.5 * np.sqrt(1.0 + np.trace(R))
@@ -40,13 +40,13 @@ def write(kind: str, path: Path, body_axes: str) -> Path:
     return path
 
 
-def reader_of(kind: str):
+def reader_of(kind):
     return next(row.poses for row in POSES if row.kind == kind)
 
 
 @pytest.mark.parametrize("body_axes", BODY_AXES)
 @pytest.mark.parametrize("kind", ["tum", "euroc", "kitti"])
-def test_poses_on_earth(tmp_path: Path, kind: str, body_axes: str) -> None:
+def test_poses_on_earth(tmp_path, kind, body_axes):
     path = write(kind, tmp_path / "poses", body_axes)
     assert recognise(path) == kind
     times = tmp_path / "times.txt"
@@ -55,17 +55,15 @@ def test_poses_on_earth(tmp_path: Path, kind: str, body_axes: str) -> None:
     log = reader_of(kind)([path], options)
     s = log.states
     # float64 of a Unix time of 1.7e9 s
-    np.testing.assert_allclose(s["t_gps_s"], gps_from_unix(T0 + 0.1 * np.arange(3)), atol=5e-7)
+    assert_allclose(s["t_gps_s"], gps_from_unix(T0 + 0.1 * np.arange(3)), atol=5e-7)
     east_north_up = FRAME.from_geodetic(s["lat_deg"], s["lon_deg"], s["h_ell_m"])
-    np.testing.assert_allclose(east_north_up, [[0, 5, -1], [10, 5, -1], [20, 5, -1]], atol=1e-6)
+    assert_allclose(east_north_up, [[0, 5, -1], [10, 5, -1], [20, 5, -1]], atol=1e-6)
     # the local level turns by 3e-6 rad within 20 m
     for name, angle in (("roll", RIGHT_DOWN), ("pitch", NOSE_UP), ("heading", HEADING)):
-        np.testing.assert_allclose(s[f"{name}_rad"], angle, atol=1e-5)
-        np.testing.assert_allclose(s[f"sigma_{name}_rad"], np.deg2rad(0.2))
+        assert_allclose(s[f"{name}_rad"], angle, atol=1e-5)
+        assert_allclose(s[f"sigma_{name}_rad"], np.deg2rad(0.2))
     if kind == "euroc":
-        np.testing.assert_allclose(
-            s[["v_east_mps", "v_north_mps", "v_down_mps"]], [[1, 2, -3]] * 3, atol=1e-4
-        )
+        assert_allclose(s[["v_east_mps", "v_north_mps", "v_down_mps"]], [[1, 2, -3]] * 3, atol=1e-4)
     else:
         assert s["v_north_mps"].isna().all()
     assert log.report.counts == {"poses": 3}
@@ -73,7 +71,7 @@ def test_poses_on_earth(tmp_path: Path, kind: str, body_axes: str) -> None:
 
 
 @pytest.mark.parametrize("kind", ["tum", "euroc", "kitti"])
-def test_what_a_table_does_not_hold_is_asked_for(tmp_path: Path, kind: str) -> None:
+def test_what_a_table_does_not_hold_is_asked_for(tmp_path, kind):
     path = write(kind, tmp_path / "poses", "forward-left-up")
     with pytest.raises(
         InputError, match="frame, body_axes, time_scale, sigma_position_m, sigma_attitude_deg"
@@ -99,7 +97,7 @@ def test_what_a_table_does_not_hold_is_asked_for(tmp_path: Path, kind: str) -> N
         ("tum", "# nothing\n", "no poses"),
     ],
 )
-def test_damaged_tables_are_refused(tmp_path: Path, kind: str, text: str, told: str) -> None:
+def test_damaged_tables_are_refused(tmp_path, kind, text, told):
     path = tmp_path / "poses"
     path.write_text(text)
     with pytest.raises(InputError, match=told):
@@ -107,11 +105,11 @@ def test_damaged_tables_are_refused(tmp_path: Path, kind: str, text: str, told: 
 
 
 @pytest.mark.real
-def test_poses_of_a_real_lidar(data_dir: Path) -> None:
+def test_poses_of_a_real_lidar(data_dir):
     path = data_dir / "ouster_sdk_samples/OS-1-128_v2.3.0_1024x10_lb_n3_poses_kitti.txt"
     assert recognise(path) == "kitti"
     poses = read_text_poses("kitti", [path])
-    np.testing.assert_allclose(poses.position_m[:, 0], [0.0, 0.2454105, 0.4978255], atol=1e-7)
+    assert_allclose(poses.position_m[:, 0], [0.0, 0.2454105, 0.4978255], atol=1e-7)
 
 
 HEADER = """Project:     Elbe
@@ -124,20 +122,20 @@ SIGMAS = ("  SDEast SDNorth SDHeight  RollSD PitchSD  HdngSD", "   (m) (m) (m) (
 ROW = "2235 300000.{k}00 51.0500000{k} 13.25000000 120.500 0.1 0.2 0.3 1.0 -2.0 359.5"
 
 
-def export(path: Path, *, sigmas: bool = True, header: str = HEADER) -> Path:
+def export(path, *, sigmas=True, header=HEADER):
     more, units = SIGMAS if sigmas else ("", "")
     rows = "\n".join(ROW.format(k=k) + (" 0.01 0.02 0.03 1.2 1.8 6.0" if sigmas else "") for k in range(4))
     path.write_text(header.format(more=more, units=units) + rows + "\n")
     return path
 
 
-def test_inertial_explorer_by_its_header(tmp_path: Path) -> None:
+def test_inertial_explorer_by_its_header(tmp_path):
     path = export(tmp_path / "boat.txt")
     assert recognise(path) == "inertial_explorer"
     log = read_poses([path], "sbet", TrackOptions())
     s = log.states
-    np.testing.assert_allclose(s["t_gps_s"], gps_from_week(2235, 300_000 + 0.1 * np.arange(4)), atol=1e-6)
-    np.testing.assert_allclose(s["lat_deg"], 51.05 + 1e-8 * np.arange(4), atol=1e-12)
+    assert_allclose(s["t_gps_s"], gps_from_week(2235, 300_000 + 0.1 * np.arange(4)), atol=1e-6)
+    assert_allclose(s["lat_deg"], 51.05 + 1e-8 * np.arange(4), atol=1e-12)
     first = s.iloc[0]
     assert first["v_down_mps"] == -0.3
     assert np.rad2deg(
@@ -148,7 +146,7 @@ def test_inertial_explorer_by_its_header(tmp_path: Path) -> None:
     assert describe(path).counts["poses"] == 4
 
 
-def test_inertial_explorer_in_degrees_minutes_seconds(tmp_path: Path) -> None:
+def test_inertial_explorer_in_degrees_minutes_seconds(tmp_path):
     header = HEADER.replace("(deg)", "(+/-D M S)", 2)
     path = tmp_path / "dms.txt"
     row = "2235 300000.0 -0 30 36.0 13 15 00.0 120.5 0.1 0.2 0.3 1.0 -2.0 359.5 0.01 0.02 0.03 1.2 1.8 6.0"
@@ -157,7 +155,7 @@ def test_inertial_explorer_in_degrees_minutes_seconds(tmp_path: Path) -> None:
     assert (first["lat_deg"], first["lon_deg"]) == pytest.approx((-0.51, 13.25))
 
 
-def test_inertial_explorer_without_sigmas_units_or_columns(tmp_path: Path) -> None:
+def test_inertial_explorer_without_sigmas_units_or_columns(tmp_path):
     path = export(tmp_path / "bare.txt", sigmas=False)
     bare = read_poses([path], "sbet", TrackOptions())
     assert bare.states[["sigma_up_m", "sigma_roll_rad"]].isna().all(axis=None)
@@ -184,7 +182,7 @@ PARTS = {"more": "Roll RollSD SDHoriz", "units": "(Deg) (Deg) (m)"}
 @pytest.mark.parametrize(
     ("form", "day"), [("(MDY)", "6/12/2024"), ("(d/m/y)", "12/06/2024"), ("(YMD)", "2024-06-12")]
 )
-def test_inertial_explorer_by_date_and_other_names(tmp_path: Path, dms: str, form: str, day: str) -> None:
+def test_inertial_explorer_by_date_and_other_names(tmp_path, dms, form, day):
     path = tmp_path / "aerial.txt"
     path.write_text(AERIAL.format(dms=dms, form=form, day=day, **PARTS))
     assert recognise(path) == "inertial_explorer"
@@ -207,7 +205,7 @@ def test_inertial_explorer_by_date_and_other_names(tmp_path: Path, dms: str, for
     assert np.isnan(first["sigma_up_m"])
 
 
-def test_inertial_explorer_with_a_date_of_another_day_or_none(tmp_path: Path) -> None:
+def test_inertial_explorer_with_a_date_of_another_day_or_none(tmp_path):
     path = tmp_path / "aerial.txt"
     path.write_text(AERIAL.format(dms="(D M S)", form="(MDY)", day="6/15/2024", **PARTS))
     with pytest.raises(InputError, match="second 295,218 of the week on 2024-06-15, a Saturday"):
@@ -238,7 +236,7 @@ UPRIGHT = [0.0, 0.0, np.sin(0.3), np.cos(0.3)]
         ("# time [ms] q_w [] q_x [] q_y [] q_z [] p_x [m] p_y [m] p_z [m]", "wxyz first"),
     ],
 )
-def test_names_decide_the_order_of_the_quaternion(tmp_path: Path, head: str, order: str) -> None:
+def test_names_decide_the_order_of_the_quaternion(tmp_path, head, order):
     path = tmp_path / "poses.txt"
     cells = [UPRIGHT["xyzw".index(axis)] for axis in order[:4]]
     separator = ", " if head.startswith(("timestamp,", "#time")) else " "
@@ -249,11 +247,11 @@ def test_names_decide_the_order_of_the_quaternion(tmp_path: Path, head: str, ord
     path.write_text("\n".join([head, *rows]) + "\n")
     assert recognise(path) == "tum"
     states = read_poses([path], "ins", TrackOptions(**STATED, body_axes="forward-left-up")).states
-    np.testing.assert_allclose(states["roll_rad"], 0.0, atol=1e-5)
-    np.testing.assert_allclose(states["heading_rad"], np.pi / 2 - 0.6, atol=1e-5)
+    assert_allclose(states["roll_rad"], 0.0, atol=1e-5)
+    assert_allclose(states["heading_rad"], np.pi / 2 - 0.6, atol=1e-5)
 
 
-def test_a_boat_upside_down_is_refused_unless_it_is_stated(tmp_path: Path) -> None:
+def test_a_boat_upside_down_is_refused_unless_it_is_stated(tmp_path):
     path = tmp_path / "poses.txt"
     x, y, z, w = UPRIGHT
     path.write_text("".join(f"{T0 + k} 0 0 0 {w} {x} {y} {z}\n" for k in range(4)))
@@ -263,7 +261,7 @@ def test_a_boat_upside_down_is_refused_unless_it_is_stated(tmp_path: Path) -> No
     assert len(read_poses([path], "ins", replace(options, upside_down=True)).states) == 4
 
 
-def test_times_of_a_table_of_poses_contradict_the_stated_scale(tmp_path: Path) -> None:
+def test_times_of_a_table_of_poses_contradict_the_stated_scale(tmp_path):
     path = tmp_path / "poses.txt"
     path.write_text("".join(f"{1_718_186_400 + k} 0 0 0 0 0 0 1\n" for k in range(4)))
     options = TrackOptions(**STATED | {"time_scale": "gps"}, body_axes="forward-left-up")
@@ -276,7 +274,7 @@ def test_times_of_a_table_of_poses_contradict_the_stated_scale(tmp_path: Path) -
 
 
 @pytest.mark.parametrize(("per_second", "separator"), [(10**3, " "), (10**9, " "), (10**3, ",")])
-def test_stamps_of_poses_in_other_units(tmp_path: Path, per_second: int, separator: str) -> None:
+def test_stamps_of_poses_in_other_units(tmp_path, per_second, separator):
     path = tmp_path / "poses.txt"
     head = "# timestamp x y z qx qy qz qw\n"
     rows = [[(1_718_186_400 + k) * per_second, 0, 0, 0, 0, 0, 0, 1] for k in range(4)]
@@ -286,14 +284,14 @@ def test_stamps_of_poses_in_other_units(tmp_path: Path, per_second: int, separat
     assert any("seconds since 1970" in note for note in log.report.notes)
 
 
-def test_a_week_counter_that_rolled_over_is_doubted(tmp_path: Path) -> None:
+def test_a_week_counter_that_rolled_over_is_doubted(tmp_path):
     path = export(tmp_path / "boat.txt")
     path.write_text(path.read_text().replace("2235 ", "187 "))
     notes = " ".join(read_poses([path], "sbet", TrackOptions()).report.notes)
     assert "2048 weeks later 2022-11-" in notes
 
 
-def test_inertial_explorer_with_a_time_of_the_day(tmp_path: Path) -> None:
+def test_inertial_explorer_with_a_time_of_the_day(tmp_path):
     path = tmp_path / "export.txt"
     head = "GPSTime Date Lat Lon H-Ell Roll Pitch Heading\n(HMS) (DMY) (deg) (deg) (m) (deg) (deg) (deg)\n"
     row = "10:00:18.25 12/06/2024 51.05 13.75 155.0 1.0 2.0 3.0\n"

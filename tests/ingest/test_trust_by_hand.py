@@ -16,7 +16,7 @@ DEG_OF_EAST = 1e-5 / float(
 )
 
 
-def positions(n: int, fix: str, sigma_m: float, east_m: object = 0.0) -> pd.DataFrame:
+def positions(n, fix, sigma_m, east_m=0.0):
     """Epochs of a second at one place, shifted to the east."""
     table = pd.DataFrame({name: np.zeros(n) for name in GNSS_POSITION.names})
     return table.assign(
@@ -25,13 +25,13 @@ def positions(n: int, fix: str, sigma_m: float, east_m: object = 0.0) -> pd.Data
     )  # fmt: skip
 
 
-def judged(table: pd.DataFrame, floats: pd.DataFrame, baseline_m: float, rise_m: float = 0.0, **how: float):
+def judged(table, floats, baseline_m, rise_m=0.0, **how):
     given = {"trusted_baseline_km": 20.0, "least_fix_s": 10.0} | how
     n = len(table)
     return trust_fixes(table, floats, 1.0, None, np.full(n, baseline_m), np.full(n, rise_m), **given)
 
 
-def test_sigmas_grow_by_two_millimetres_a_kilometre_and_three_in_height() -> None:
+def test_sigmas_grow_by_two_millimetres_a_kilometre_and_three_in_height():
     """10 km: 20, 20, 30 mm beside 10 mm of a fix; 50, 50, 100 mm beside twice 200 mm of a float position.
 
     100 m of rise add 15 mm in height.
@@ -50,7 +50,7 @@ def test_sigmas_grow_by_two_millimetres_a_kilometre_and_three_in_height() -> Non
 
 
 @pytest.mark.parametrize(("east_m", "refused"), [(0.75, 0), (-0.75, 0), (0.80, 60), (-0.80, 60)])
-def test_a_fix_is_refused_beyond_three_sigmas_of_three_coordinates(east_m: float, refused: int) -> None:
+def test_a_fix_is_refused_beyond_three_sigmas_of_three_coordinates(east_m, refused):
     """Twice 0.1 m and a floor of 0.05 m: 0.776 m is where chi-square of 3 has 99.73 %, 14.16."""
     out, trust = judged(positions(60, "fixed", 0.01, east_m), positions(60, "float", 0.1), 0.0)
     assert trust.refused["float"] == refused
@@ -59,7 +59,7 @@ def test_a_fix_is_refused_beyond_three_sigmas_of_three_coordinates(east_m: float
     assert out["lon_deg"].to_numpy() == pytest.approx(expected, abs=1e-12)
 
 
-def test_runs_that_are_short_and_baselines_that_are_long_are_refused() -> None:
+def test_runs_that_are_short_and_baselines_that_are_long_are_refused():
     """Nine epochs of a second are 9 s."""
     table = positions(60, "float", 0.1)
     table.loc[5:13, "fix"] = "fixed"
@@ -73,9 +73,7 @@ def test_runs_that_are_short_and_baselines_that_are_long_are_refused() -> None:
 @pytest.mark.parametrize(
     ("direction", "first", "last"), [("forward", 0.5, 4.0), ("backward", 4.0, 0.5), ("combined", 4.0, 4.0)]
 )
-def test_float_sigmas_follow_what_means_of_so_many_epochs_show(
-    direction: str, first: float, last: float
-) -> None:
+def test_float_sigmas_follow_what_means_of_so_many_epochs_show(direction, first, last):
     """A variance of 0.25 of single epochs, 16 of means of 64, a straight line in logarithms between."""
     n = 64
     table = positions(n, "float", 0.1)
@@ -93,7 +91,7 @@ def test_float_sigmas_follow_what_means_of_so_many_epochs_show(
     assert trust.notes() == []
 
 
-def test_sigmas_of_fixed_positions_are_the_engines_times_what_the_residuals_show() -> None:
+def test_sigmas_of_fixed_positions_are_the_engines_times_what_the_residuals_show():
     table = positions(60, "fixed", 0.01)
     floats = positions(60, "float", 0.2)
     limits = {"trusted_baseline_km": 20.0, "least_fix_s": 10.0}

@@ -3,8 +3,6 @@
 import datetime as dt
 import struct
 from functools import partial
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -22,7 +20,7 @@ WEEK, FIRST_S = 2300, 100_000.0
 UTC = dt.datetime(1980, 1, 6) + dt.timedelta(weeks=WEEK, seconds=FIRST_S - 18.0)
 
 
-def pvt(k: int, **other: object) -> bytes:
+def pvt(k, **other):
     """Epoch ``k``, a second each: a fixed ambiguity 2 cm apart in the radius, 3 cm in height."""
     utc = UTC + dt.timedelta(seconds=k)
     values = {
@@ -34,14 +32,14 @@ def pvt(k: int, **other: object) -> bytes:
     return at_time(UBXMessage("NAV", "NAV-PVT", GET, **(values | other)), k, 6)
 
 
-def at_time(message: UBXMessage, k: int, at: int) -> bytes:
+def at_time(message, k, at):
     """The message's bytes with its time of week, which pyubx2 would turn into a time of day."""
     body = bytearray(message.serialize())
     body[at : at + 4] = struct.pack("<I", round(1e3 * (FIRST_S + k)))
     return summed(body)
 
 
-def summed(body: bytearray) -> bytes:
+def summed(body):
     """A message with a check sum that is right."""
     a = b = 0
     for byte in body[2:-2]:
@@ -50,13 +48,13 @@ def summed(body: bytearray) -> bytes:
     return bytes(body[:-2]) + bytes([a, b])
 
 
-def log_of(tmp_path: Path, *parts: bytes) -> Path:
+def log_of(tmp_path, *parts):
     path = tmp_path / "receiver.ubx"
     path.write_bytes(b"".join(parts))
     return path
 
 
-def test_positions_have_time_place_fix_and_sigmas(tmp_path: Path) -> None:
+def test_positions_have_time_place_fix_and_sigmas(tmp_path):
     path = log_of(
         tmp_path, *(pvt(k) for k in range(10)), pvt(10, carrSoln=1), pvt(11, carrSoln=0), pvt(12, gnssFixOk=0)
     )
@@ -71,7 +69,7 @@ def test_positions_have_time_place_fix_and_sigmas(tmp_path: Path) -> None:
     assert log.report.counts["positions_without_fix"] == 1
 
 
-def test_a_receiver_that_does_not_know_the_leap_seconds_yet_is_on_time(tmp_path: Path) -> None:
+def test_a_receiver_that_does_not_know_the_leap_seconds_yet_is_on_time(tmp_path):
     """The date is off by some seconds then; the time of the week is not."""
     utc = UTC + dt.timedelta(seconds=5)
     path = log_of(tmp_path, pvt(0, second=utc.second, min=utc.minute, hour=utc.hour), pvt(1))
@@ -79,7 +77,7 @@ def test_a_receiver_that_does_not_know_the_leap_seconds_yet_is_on_time(tmp_path:
     assert log.positions["t_gps_s"].iloc[0] == float(gps_from_week(WEEK, FIRST_S))
 
 
-def test_finer_places_and_covariances_of_the_same_epoch_count(tmp_path: Path) -> None:
+def test_finer_places_and_covariances_of_the_same_epoch_count(tmp_path):
     fine = UBXMessage(
         "NAV",
         "NAV-HPPOSLLH",
@@ -114,14 +112,14 @@ def test_finer_places_and_covariances_of_the_same_epoch_count(tmp_path: Path) ->
     assert (second.cov_en_m2, second.cov_eu_m2, second.cov_nu_m2) == pytest.approx((1e-4, -3e-4, -2e-4))
 
 
-def test_two_receivers_in_a_log_are_refused(tmp_path: Path) -> None:
+def test_two_receivers_in_a_log_are_refused(tmp_path):
     both = [part for k in range(3) for part in (pvt(k), pvt(k, lat=51.0 + 1e-6 * k + 1e-5))]
     with pytest.raises(InputError, match="NAV-PVT states two places for 3 times"):
         read_ubx([log_of(tmp_path, *both)], TrackOptions())
     assert len(read_ubx([log_of(tmp_path, pvt(0), pvt(0), pvt(1))], TrackOptions()).positions) == 2
 
 
-def test_the_same_second_of_two_weeks_counts_twice(tmp_path: Path) -> None:
+def test_the_same_second_of_two_weeks_counts_twice(tmp_path):
     first, second = tmp_path / "a.ubx", tmp_path / "b.ubx"
     first.write_bytes(pvt(0) + pvt(1))
     later = UTC + dt.timedelta(weeks=1)
@@ -131,7 +129,7 @@ def test_the_same_second_of_two_weeks_counts_twice(tmp_path: Path) -> None:
     assert t.tolist() == [float(gps_from_week(WEEK + w, FIRST_S + k)) for w in (0, 1) for k in (0, 1)]
 
 
-def test_damage_and_other_protocols_are_counted(tmp_path: Path) -> None:
+def test_damage_and_other_protocols_are_counted(tmp_path):
     gga = nmea("GPGGA,034622.00,5100.0000,N,01300.0000,E,4,21,0.6,100.0,M,46.5,M,1.0,0001").encode()
     bad = bytearray(pvt(1))
     bad[40] ^= 0xFF
@@ -142,14 +140,14 @@ def test_damage_and_other_protocols_are_counted(tmp_path: Path) -> None:
     assert log.report.losses["bytes_outside_messages"] == len(bad) + 7 + len(pvt(3)) - 9
 
 
-def test_without_a_week_there_is_no_gps_time(tmp_path: Path) -> None:
+def test_without_a_week_there_is_no_gps_time(tmp_path):
     path = log_of(tmp_path, pvt(0, validDate=0), pvt(1, validTime=0))
     report = describe(path)
     assert not report.synchronised
     assert report.counts["positions_without_week"] == 2
 
 
-def raw_epoch(k: int, week: int, *, old: bool = False) -> bytes:
+def raw_epoch(k, week, *, old=False):
     """A RXM-RAWX without satellites: its time of week is a float64; that of RXM-RAW in milliseconds."""
     if old:
         return at_time(UBXMessage("RXM", "RXM-RAW", GET, week=week, numSV=0), k, 6)
@@ -159,7 +157,7 @@ def raw_epoch(k: int, week: int, *, old: bool = False) -> bytes:
 
 
 @pytest.mark.parametrize("old", [False, True])
-def test_a_week_comes_from_the_nearest_message_that_tells_it(tmp_path: Path, old: bool) -> None:
+def test_a_week_comes_from_the_nearest_message_that_tells_it(tmp_path, old):
     """Raw observations are counted, and named for PPK; headings and time marks are told, and not used."""
     plain = [pvt(k, validDate=0, validTime=0) for k in range(4)]
     heading = [
@@ -180,7 +178,7 @@ def test_a_week_comes_from_the_nearest_message_that_tells_it(tmp_path: Path, old
     assert "1 time marks (TIM-TM2) are not read" in told
 
 
-def test_fine_places_alone_are_single_solutions(tmp_path: Path) -> None:
+def test_fine_places_alone_are_single_solutions(tmp_path):
     fine = [
         at_time(
             UBXMessage(
@@ -208,7 +206,7 @@ def test_fine_places_alone_are_single_solutions(tmp_path: Path) -> None:
     assert log.report.counts["positions_without_fix"] == 1
 
 
-def test_a_log_without_raw_observations_is_no_rover(tmp_path: Path) -> None:
+def test_a_log_without_raw_observations_is_no_rover(tmp_path):
     path = log_of(tmp_path, *(pvt(k) for k in range(3)))
     base = tmp_path / "base.ubx"
     base.write_bytes(pvt(0) + pvt(7))
@@ -217,7 +215,7 @@ def test_a_log_without_raw_observations_is_no_rover(tmp_path: Path) -> None:
 
 
 @pytest.mark.real
-def test_real_raw_observations_are_those_of_other_programs(data_dir: Path, tmp_path: Path) -> None:
+def test_real_raw_observations_are_those_of_other_programs(data_dir, tmp_path):
     """Counts of pyubx2; epochs, satellites and the first approximate position of RTKLIB's own conversion."""
     mixed = data_dir / "today/ubx_nmea_raw_2008/ubx_20080526.ubx"
     pure = data_dir / "today/ubx_pyubx2/pygpsdata-RXMRAWX.log"
@@ -233,7 +231,7 @@ def test_real_raw_observations_are_those_of_other_programs(data_dir: Path, tmp_p
     assert observations.counts["epochs"] == 242
 
 
-def test_damaged_logs_are_read_or_refused(tmp_path: Path, fuzz: Any) -> None:
+def test_damaged_logs_are_read_or_refused(tmp_path, fuzz):
     read, whole = partial(read_ubx, options=TrackOptions()), b"".join(pvt(k) for k in range(10))
     for data, log in read_or_refused(fuzz, tmp_path / "fuzz.ubx", read, whole):
         assert len(log.positions) <= data.count(b"\xb5\x62\x01\x07")
@@ -242,7 +240,7 @@ def test_damaged_logs_are_read_or_refused(tmp_path: Path, fuzz: Any) -> None:
     fuzz.check(read=0.9, troubled=0.2)
 
 
-def test_a_receiver_is_no_ins(tmp_path: Path) -> None:
+def test_a_receiver_is_no_ins(tmp_path):
     """Headings of two antennas lack roll and pitch: refused with the reason; the log is one of positions."""
     path = tmp_path / "boat.ubx"
     path.write_bytes(b"".join(pvt(k) for k in range(30)))

@@ -1,7 +1,6 @@
 """The same lines and areas in every format of a GIS; what is broken is refused with a sentence."""
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +23,7 @@ ISLAND = np.array([[40.0, 8.0], [60.0, 8.0], [60.0, 12.0], [40.0, 12.0]])
 HOLE = np.array([[45.0, 9.0], [46.0, 9.0], [46.0, 10.0]])
 
 
-def placed(corners: np.ndarray) -> np.ndarray:
+def placed(corners):
     """Corners on the map."""
     return corners + ([EAST_M, NORTH_M, 0.0][: corners.shape[1]])
 
@@ -37,7 +36,7 @@ BANKS = GeoDataFrame(
 ISLANDS = GeoDataFrame({"name": ["a"]}, geometry=[shapely.Polygon(placed(ISLAND), [placed(HOLE)])], crs=MAP)
 WGS84 = CRS.from_epsg(4326)
 # DXF has layers instead of properties; KML knows degrees alone
-WRITTEN: dict[str, Callable[[GeoDataFrame, Path], None]] = {
+WRITTEN = {
     "old.geojson": lambda table, path: table.to_file(path),
     "new.geojson": lambda table, path: table.to_crs(WGS84).to_file(
         path, RFC7946="YES", COORDINATE_PRECISION=12
@@ -54,7 +53,7 @@ WRITTEN: dict[str, Callable[[GeoDataFrame, Path], None]] = {
 
 
 @pytest.mark.parametrize("name", WRITTEN)
-def test_the_same_lines_in_every_format(tmp_path: Path, name: str) -> None:
+def test_the_same_lines_in_every_format(tmp_path, name):
     path, water = tmp_path / name, tmp_path / f"islands_{name}"
     WRITTEN[name](BANKS, path)
     WRITTEN[name](ISLANDS, water)
@@ -62,7 +61,7 @@ def test_the_same_lines_in_every_format(tmp_path: Path, name: str) -> None:
     for side, corners in zip(("left", "right"), (LEFT, RIGHT), strict=True):
         (found,) = [xyz for xyz, of in read_vectors(path).on_map(MAP).lines() if side in of.values()]
         assert found == pytest.approx(placed(corners), abs=1e-6)
-    notes: list[str] = []
+    notes = []
     banks, _ = read_bank_lines(path, MAP, None, None, (np.empty((0, 2)), np.empty(0)), notes)
     of = banks.table[banks.table["side"] == "left"]
     assert of["north_m"].max() == pytest.approx(NORTH_M + 22.0, abs=1e-2)
@@ -81,13 +80,13 @@ def test_the_same_lines_in_every_format(tmp_path: Path, name: str) -> None:
     assert set(tmp_path.iterdir()) == files
 
 
-def test_a_closed_line_of_a_drawing_is_an_area(tmp_path: Path) -> None:
+def test_a_closed_line_of_a_drawing_is_an_area(tmp_path):
     ring = ISLANDS.set_geometry(ISLANDS.exterior)[["geometry"]]
     ring.to_file(tmp_path / "a.dxf", driver="DXF")
     assert shapely.Polygon(read_islands(tmp_path / "a.dxf", MAP)[0]).area == pytest.approx(80.0, abs=1e-6)
 
 
-def test_a_campaign_takes_any_of_them(tmp_path: Path) -> None:
+def test_a_campaign_takes_any_of_them(tmp_path):
     frame = LocalFrame(lat_deg=50.5, lon_deg=13.6, h_ell_m=100.0)
     BANKS.to_file(tmp_path / "old.geojson")
     BANKS.to_crs(WGS84).to_file(tmp_path / "a.kml", driver="LIBKML")
@@ -108,7 +107,7 @@ def test_a_campaign_takes_any_of_them(tmp_path: Path) -> None:
         read_line(tmp_path / "line.gpkg")
 
 
-def test_points_are_a_table(tmp_path: Path) -> None:
+def test_points_are_a_table(tmp_path):
     points = GeoDataFrame({"depth": [1.5, 2.5]}, geometry=shapely.points(placed(LEFT[:2, :2])), crs=MAP)
     for name in ("p.shp", "p.gpkg", "p.fgb"):
         points.to_crs(WGS84).to_file(tmp_path / name)
@@ -120,7 +119,7 @@ def test_points_are_a_table(tmp_path: Path) -> None:
             assert found.xy_m[order] == pytest.approx(placed(LEFT[:2, :2]), abs=1e-6 if crs else 2e-4)
 
 
-def geojson(path: Path, *geometries: object, **members: object) -> Path:
+def geojson(path, *geometries, **members):
     """A file of these geometries."""
     features = [
         {"type": "Feature", "properties": {"n": k}, "geometry": each} for k, each in enumerate(geometries)
@@ -129,12 +128,12 @@ def geojson(path: Path, *geometries: object, **members: object) -> Path:
     return path
 
 
-def line(*corners: tuple[object, ...]) -> dict[str, object]:
+def line(*corners):
     """A line of GeoJSON."""
     return {"type": "LineString", "coordinates": corners}
 
 
-def test_what_cannot_be_drawn_is_counted(tmp_path: Path) -> None:
+def test_what_cannot_be_drawn_is_counted(tmp_path):
     two = {"type": "MultiLineString", "coordinates": [[[0, 0], [1, 1]], [[2, 2], [3, 3]]]}
     parts = {"type": "GeometryCollection", "geometries": [two, {"type": "MultiPoint", "coordinates": []}]}
     bow = {"type": "Polygon", "coordinates": [[[0, 0], [4, 4], [4, 0], [0, 4], [0, 0]]]}
@@ -152,7 +151,7 @@ def test_what_cannot_be_drawn_is_counted(tmp_path: Path) -> None:
     assert len(found.lines()) == 4
 
 
-def test_what_states_no_system_is_noted(tmp_path: Path) -> None:
+def test_what_states_no_system_is_noted(tmp_path):
     BANKS.to_file(tmp_path / "a.shp")
     BANKS.to_crs(WGS84).to_file(tmp_path / "b.shp")
     for name, words in (("a", "taken for places in ETRS89 / UTM zone 33N"), ("b", "taken for degrees")):
@@ -176,7 +175,7 @@ def test_what_states_no_system_is_noted(tmp_path: Path) -> None:
         read_vectors(wrong).on_map(MAP)
 
 
-def test_a_grid_of_a_site_is_no_place_on_a_map(tmp_path: Path) -> None:
+def test_a_grid_of_a_site_is_no_place_on_a_map(tmp_path):
     BANKS.to_file(tmp_path / "a.shp")
     (tmp_path / "a.prj").write_text('LOCAL_CS["site",UNIT["metre",1]]')
     assert "taken for places in ETRS89" in read_vectors(tmp_path / "a.shp").on_map(MAP).notes[0]
@@ -188,7 +187,7 @@ def test_a_grid_of_a_site_is_no_place_on_a_map(tmp_path: Path) -> None:
     assert "taken for places in ETRS89" in on_map.notes[0]
 
 
-def test_heights_in_feet_become_metres(tmp_path: Path) -> None:
+def test_heights_in_feet_become_metres(tmp_path):
     feet = shapely.transform(BANKS.geometry.to_numpy(), lambda xyz: xyz / (1, 1, 0.3048), include_z=True)
     BANKS.set_geometry(feet).set_crs("EPSG:25833+8228", allow_override=True).to_file(tmp_path / "a.gpkg")
     found = read_vectors(tmp_path / "a.gpkg")
@@ -196,7 +195,7 @@ def test_heights_in_feet_become_metres(tmp_path: Path) -> None:
     assert "heights in foot" in found.notes[0]
 
 
-def test_a_layer_or_rows_by_name(tmp_path: Path) -> None:
+def test_a_layer_or_rows_by_name(tmp_path):
     path = tmp_path / "a.gpkg"
     BANKS.assign(day=[7, None]).to_file(path, layer="banks")
     ISLANDS.to_file(path, layer="islands")
@@ -220,7 +219,7 @@ def test_a_layer_or_rows_by_name(tmp_path: Path) -> None:
         read_vectors(f"{path}?layer")
 
 
-def broken(folder: Path) -> dict[Path, str]:
+def broken(folder):
     """Files that cannot be read, and words of the refusal."""
     (folder / "cut.geojson").write_text('{"type": "FeatureCollection", "features": [{"type": "Feature"')
     (folder / "deep.geojson").write_text("[" * 50_000)
@@ -257,13 +256,13 @@ def broken(folder: Path) -> dict[Path, str]:
     }
 
 
-def test_what_is_broken_is_refused_with_a_sentence(tmp_path: Path) -> None:
+def test_what_is_broken_is_refused_with_a_sentence(tmp_path):
     for path, words in broken(tmp_path).items():
         with pytest.raises(InputError, match=words):
             read_vectors(path)
 
 
-def test_latitude_before_longitude_is_named(tmp_path: Path) -> None:
+def test_latitude_before_longitude_is_named(tmp_path):
     """GeoJSON has longitude first; (13.7, 51.0) and (51.0, 13.7) are both places on the earth."""
     path = geojson(tmp_path / "a.geojson", line((51.0, 13.74), (51.001, 13.75), (51.002, 13.75)))
     with pytest.raises(InputError, match="latitude and longitude swapped would fit"):

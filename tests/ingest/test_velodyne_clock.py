@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from tests.ingest import test_velodyne_log as log
 from tests.ingest.writers import nmea
@@ -31,17 +32,32 @@ def packet_times(files):
     return gps, device, scan
 
 
+@pytest.fixture
+def times_of(tmp_path):
+    """`packet_times` of one file of these frames."""
+    return lambda frames: packet_times([log.save(tmp_path / "a", frames)])
+
+
 def assert_gps(gps, stamps_us):
     """Equal to UTC of the stamps; 0.5 us is the rounding of the packet stamp, 0.12 us float64 there."""
-    np.testing.assert_allclose(gps - GPS_HOUR, np.asarray(stamps_us) * 1e-6, rtol=0, atol=0.7e-6)
+    assert_allclose(gps - GPS_HOUR, np.asarray(stamps_us) * 1e-6, rtol=0, atol=0.7e-6)
 
 
-@pytest.mark.parametrize("lag_s", [-0.2, 0.0, 0.4, 1.2])
-@pytest.mark.parametrize("t0_us", [5e6, 1_800_000_000.0, 3_599_960_000.0, 3_599_100_000.0, 3_600_000_100.0])
-def test_hour_from_rmc_at_any_place_of_the_hour(tmp_path, lag_s, t0_us):
+@pytest.mark.parametrize(
+    ("lag_s", "t0_us"),
+    [
+        (0.4, 5e6),
+        (0.0, 1_800_000_000.0),
+        (-0.2, 3_599_960_000.0),
+        (1.2, 3_599_960_000.0),
+        (0.4, 3_599_100_000.0),
+        (-0.2, 3_600_000_100.0),
+        (1.2, 3_600_000_100.0),
+    ],
+)
+def test_hour_from_rmc_at_any_place_of_the_hour(times_of, lag_s, t0_us):
     stamps = log.times(100, t0_us)
-    path = log.save(tmp_path / "a", log.recording(stamps, hour_unix=HOUR, lag_s=lag_s))
-    gps, device, scan = packet_times([path])
+    gps, device, scan = times_of(log.recording(stamps, hour_unix=HOUR, lag_s=lag_s))
     assert_gps(gps, stamps)
     assert (np.diff(device) > 0).all()
     assert scan.report.synchronised
@@ -51,11 +67,10 @@ def test_hour_from_rmc_at_any_place_of_the_hour(tmp_path, lag_s, t0_us):
     assert scan.report.t_last_s == pytest.approx(GPS_HOUR + stamps[-1] * 1e-6, abs=1e-6)
 
 
-def test_device_time_runs_on_over_the_hour(tmp_path):
+def test_device_time_runs_on_over_the_hour(times_of):
     stamps = log.times(200, 3_599_900_000.0)
-    path = log.save(tmp_path / "a", log.recording(stamps, every=0))
-    gps, device, scan = packet_times([path])
-    np.testing.assert_allclose(device, np.rint(stamps) * 1e-6, rtol=0, atol=1e-9)
+    gps, device, scan = times_of(log.recording(stamps, every=0))
+    assert_allclose(device, np.rint(stamps) * 1e-6, rtol=0, atol=1e-9)
     assert np.isnan(gps).all()
     assert scan.report.notes == [
         "The lidar is unsynchronised: there are no position packets on UDP port 8308. Its points have no GPS "
@@ -69,9 +84,8 @@ def test_device_time_runs_on_over_the_hour(tmp_path):
 @pytest.mark.parametrize(
     ("state", "words"), [(0, "absent in 10"), (1, "synchronising in 10"), (3, "error in 10")]
 )
-def test_pps_that_is_never_locked(tmp_path, state, words):
-    path = log.save(tmp_path / "a", log.recording(log.times(100), hour_unix=HOUR, pps=lambda k: state))
-    gps, _, scan = packet_times([path])
+def test_pps_that_is_never_locked(times_of, state, words):
+    gps, _, scan = times_of(log.recording(log.times(100), hour_unix=HOUR, pps=lambda k: state))
     assert np.isnan(gps).all()
     assert not scan.report.synchronised
     assert (
@@ -79,16 +93,16 @@ def test_pps_that_is_never_locked(tmp_path, state, words):
     )
 
 
-@pytest.mark.parametrize("every", [1, 4, 10])
-@pytest.mark.parametrize("start_us", [12_345_678.0, 2_000_000_000.0, 3_598_500_000.0])
-def test_pps_acquired_late(tmp_path, every, start_us):
+@pytest.mark.parametrize(
+    ("every", "start_us"), [(1, 2_000_000_000.0), (4, 3_598_500_000.0), (10, 12_345_678.0)]
+)
+def test_pps_acquired_late(times_of, every, start_us):
     utc = log.times(300, 1_234_567_890.0)
     toh = np.where(np.arange(300) < 150, start_us + utc - utc[0], utc)
     frames = log.recording(
         utc, hour_unix=HOUR, every=every, toh=toh, pps=lambda k: 2 if k >= 155 else 1 if k > 50 else 0
     )
-    path = log.save(tmp_path / "a", frames)
-    gps, _, scan = packet_times([path])
+    gps, _, scan = times_of(frames)
     first = next(k for k in range(155, 300) if k % every == every - 1) + 1
     assert np.isnan(gps[:first]).all()
     assert_gps(gps[first:], utc[first:])
@@ -102,9 +116,11 @@ def test_pps_acquired_late(tmp_path, every, start_us):
     assert report.t_first_s == pytest.approx(GPS_HOUR + utc[first] * 1e-6, abs=2e-3)
 
 
-@pytest.mark.parametrize("ahead", [0, 1, 3])
-@pytest.mark.parametrize("free_us", [140_550_000.0, 1_300_000_000.0, 3_000_000_000.0])
-def test_locked_position_packet_before_the_first_data_packet_of_the_new_time(tmp_path, ahead, free_us):
+@pytest.mark.parametrize(
+    ("ahead", "free_us"),
+    [(0, 1_300_000_000.0), (1, 3_000_000_000.0), (3, 140_550_000.0), (3, 3_000_000_000.0)],
+)
+def test_locked_position_packet_before_the_first_data_packet_of_the_new_time(times_of, ahead, free_us):
     utc = log.times(100, 1_234_567_890.0)
     toh = np.where(np.arange(100) < 50, free_us + utc - utc[0], utc)
     frames = [log.ethernet(log.udp(row, 2368)) for row in log.data_packets(toh)]
@@ -116,7 +132,7 @@ def test_locked_position_packet_before_the_first_data_packet_of_the_new_time(tmp
         50 - ahead, log.ethernet(log.udp(log.position_packet(toh[50] - 50, 2, log.rmc(HOUR + 1234)), 8308))
     )
     frames.insert(10, log.ethernet(log.udp(early, 8308)))
-    gps, _, scan = packet_times([log.save(tmp_path / "a", frames)])
+    gps, _, scan = times_of(frames)
     assert np.isnan(gps[:50]).all()
     assert_gps(gps[50:], utc[50:])
     assert not scan.report.gaps
@@ -128,18 +144,18 @@ def test_locked_position_packet_before_the_first_data_packet_of_the_new_time(tmp
     assert scan.report.rates_hz["packets"] == pytest.approx(1e6 / 1327.104, rel=1e-4)
 
 
-def test_hole_before_the_lock_is_a_hole(tmp_path):
+def test_hole_before_the_lock_is_a_hole(times_of):
     stamps = np.delete(log.times(300), np.arange(80, 85))
     frames = log.recording(stamps, hour_unix=HOUR, every=10, pps=lambda k: 2 if k >= 150 else 1)
-    _, _, scan = packet_times([log.save(tmp_path / "a", frames)])
+    _, _, scan = times_of(frames)
     assert [g.lost for g in scan.report.gaps] == [5]
     assert not any("set its clock" in n for n in scan.report.notes)
 
 
-def test_lock_lost_in_the_middle(tmp_path):
+def test_lock_lost_in_the_middle(times_of):
     stamps = log.times(300)
     frames = log.recording(stamps, hour_unix=HOUR, every=10, pps=lambda k: 3 if 100 <= k < 200 else 2)
-    gps, _, scan = packet_times([log.save(tmp_path / "a", frames)])
+    gps, _, scan = times_of(frames)
     good = np.r_[0:110, 210:300]
     assert_gps(gps[good], stamps[good])
     assert np.isnan(gps[110:210]).all()
@@ -147,10 +163,10 @@ def test_lock_lost_in_the_middle(tmp_path):
     assert any("Unsynchronised for 0.131 s, from 1.145" in n for n in scan.report.notes)
 
 
-def test_first_position_packet_comes_late(tmp_path):
+def test_first_position_packet_comes_late(times_of):
     stamps = log.times(6000)
     frames = log.recording(stamps, hour_unix=HOUR, every=5900)
-    gps, _, scan = packet_times([log.save(tmp_path / "a", frames)])
+    gps, _, scan = times_of(frames)
     # Its state holds for the 5 s before it; what lies further back is not known.
     known = stamps >= stamps[5899] - 5e6
     assert_gps(gps[known], stamps[known])
@@ -158,19 +174,20 @@ def test_first_position_packet_comes_late(tmp_path):
     assert any("no position packet yet" in n for n in scan.report.notes)
 
 
-def test_position_packets_before_the_first_data_packet(tmp_path):
+def test_position_packets_before_the_first_data_packet(times_of):
     stamps = log.times(50, 3_600_000_050.0)
     early = [
         log.ethernet(log.udp(log.position_packet(3_599_999_000 + 300 * k, 2, log.rmc(HOUR + 3599.2)), 8308))
         for k in range(4)
     ]
     frames = early + log.recording(stamps, every=0)
-    gps, _, _ = packet_times([log.save(tmp_path / "a", frames)])
+    gps, _, _ = times_of(frames)
     assert_gps(gps, stamps)
 
 
-@pytest.mark.parametrize("hours", [1, 2, 5])
-@pytest.mark.parametrize("hole_us", [0.0, 700_000_000.0, 3_500_000_000.0])
+@pytest.mark.parametrize(
+    ("hours", "hole_us"), [(1, 0.0), (1, 3_500_000_000.0), (2, 700_000_000.0), (5, 3_500_000_000.0)]
+)
 def test_hole_longer_than_an_hour(tmp_path, hours, hole_us):
     a = log.times(100)
     b = log.times(100, a[-1] + 1327.104 + hole_us + hours * 3.6e9)
@@ -180,7 +197,7 @@ def test_hole_longer_than_an_hour(tmp_path, hours, hole_us):
     ]
     gps, device, scan = packet_times(files)
     assert_gps(gps, np.concatenate([a, b]))
-    np.testing.assert_allclose(device, np.rint(np.r_[a, b]) * 1e-6, rtol=0, atol=1e-5)
+    assert_allclose(device, np.rint(np.r_[a, b]) * 1e-6, rtol=0, atol=1e-5)
     assert len(scan.report.gaps) == 1
     assert scan.report.gaps[0].duration_s == pytest.approx((b[0] - a[-1]) * 1e-6, abs=2e-3)
     assert not scan.report.losses.get("clock_set_back")
@@ -203,13 +220,13 @@ def test_lock_is_not_taken_for_granted_over_a_long_hole(tmp_path, hole_s, known)
     assert scan.report.losses["unsynchronised_packets"] == (90 if known else 100)
 
 
-def test_sentence_that_is_damaged_stale_or_without_fix(tmp_path):
+def test_sentence_that_is_damaged_stale_or_without_fix(times_of):
     stamps = log.times(200)
     frames = log.recording(stamps, hour_unix=HOUR, every=10)
     position = [k for k, f in enumerate(frames) if len(f) == 554]
     frames[position[3]] = frames[position[3]].replace(b"$GPRMC,22", b"$GPRMC,23")
     frames[position[5]] = log.ethernet(log.udp(log.position_packet(stamps[59], 2, b"$GPRMC,,V,,,,,,,"), 8308))
-    gps, _, scan = packet_times([log.save(tmp_path / "a", frames)])
+    gps, _, scan = times_of(frames)
     assert_gps(gps, stamps)  # the lock holds, the hour is known
     assert scan.report.losses["rmc_with_bad_checksum"] == 2
     assert scan.report.synchronised
@@ -224,12 +241,12 @@ def test_sentence_that_is_damaged_stale_or_without_fix(tmp_path):
         (log.rmc(HOUR + 600), "disagree by 599 s"),
     ],
 )
-def test_locked_pps_without_a_usable_hour(tmp_path, sentence, why):
+def test_locked_pps_without_a_usable_hour(times_of, sentence, why):
     frames = log.recording(log.times(40), every=0)
     for k in (35, 25, 15, 5):
         stamp = 1_000_000 + 1327 * k
         frames.insert(k, log.ethernet(log.udp(log.position_packet(stamp, 2, sentence), 8308)))
-    gps, _, scan = packet_times([log.save(tmp_path / "a", frames)])
+    gps, _, scan = times_of(frames)
     assert np.isnan(gps).all()
     assert "unsynchronised: the PPS was locked, but no sentence named the hour" in scan.report.notes[0]
     assert why in scan.report.notes[0]

@@ -204,7 +204,7 @@ def test_dual_return_of_a_model_without_a_recording_is_refused(data_dir, tmp_pat
         ),
     ],
 )
-def test_a_model_of_another_packet_interval_is_refused(data_dir, path, model, words, cure) -> None:
+def test_a_model_of_another_packet_interval_is_refused(data_dir, path, model, words, cure):
     """Both files name product 0x21; the interval tells them apart."""
     with pytest.raises(UnsupportedError, match=words) as caught:
         scan_lidar([data_dir / path], LidarOptions(model=model))

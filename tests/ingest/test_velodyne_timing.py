@@ -4,9 +4,7 @@ import numpy as np
 import pytest
 
 from tests.ingest import test_velodyne_log as log
-from tests.ingest.writers import nmea
 from thalweg.core import gps_from_unix
-from thalweg.ingest.velodyne.clock import parse_rmc
 from thalweg.ingest.velodyne.reader import scan_lidar
 
 HOUR = 1_700_000_000 // 3600 * 3600
@@ -19,7 +17,7 @@ def timing_of(path, frames, **more):
     return scan_lidar([path]).report.timing
 
 
-def test_a_locked_recording(tmp_path) -> None:
+def test_a_locked_recording(tmp_path):
     # the capture begins 1.25 s late and its clock is 200 ppm slow
     frames = log.recording(log.times(3000), hour_unix=HOUR, every=100)
     step_s = STEP_S * 3000 / len(frames) * (1 - 200e-6)
@@ -39,7 +37,7 @@ def test_a_locked_recording(tmp_path) -> None:
 
 
 @pytest.mark.parametrize("start_us", [12_345_678.0, 2_000_000_000.0])
-def test_a_late_pps_leaves_a_known_hole_at_the_beginning(tmp_path, start_us) -> None:
+def test_a_late_pps_leaves_a_known_hole_at_the_beginning(tmp_path, start_us):
     """The clock is set at packet 150, and the first report of the lock comes later: no jump is counted."""
     utc = log.times(300, 1_234_567_890.0)
     toh = np.where(np.arange(300) < 150, start_us + utc - utc[0], utc)
@@ -55,7 +53,7 @@ def test_a_late_pps_leaves_a_known_hole_at_the_beginning(tmp_path, start_us) -> 
     assert timing.pps_losses == 0
 
 
-def test_a_pps_that_is_lost_and_comes_back(tmp_path) -> None:
+def test_a_pps_that_is_lost_and_comes_back(tmp_path):
     utc = log.times(400, 1_234_567_890.0)
     frames = log.recording(utc, hour_unix=HOUR, pps=lambda k: 3 if 100 <= k < 250 else 2)
     timing = timing_of(tmp_path / "a", frames)
@@ -67,14 +65,14 @@ def test_a_pps_that_is_lost_and_comes_back(tmp_path) -> None:
     assert end == pytest.approx(GPS_HOUR + utc[260] * 1e-6, abs=2e-3)
 
 
-def test_without_position_packets_nothing_is_known_of_the_pps(tmp_path) -> None:
+def test_without_position_packets_nothing_is_known_of_the_pps(tmp_path):
     timing = timing_of(tmp_path / "a", log.recording(log.times(100), every=0))
     assert timing.pps_locked_share is None
     assert timing.unsynchronised_s == pytest.approx(99 * STEP_S, abs=1e-5)
     assert timing.unsynchronised == []
 
 
-def test_the_drift_of_a_free_running_sensor_against_the_host(tmp_path) -> None:
+def test_the_drift_of_a_free_running_sensor_against_the_host(tmp_path):
     n = 4000
     toh = log.times(n) * (1 + 50e-6)
     frames = log.recording(log.times(n), every=0, toh=toh)
@@ -83,9 +81,3 @@ def test_the_drift_of_a_free_running_sensor_against_the_host(tmp_path) -> None:
     # 5 s of stamps in microseconds: 0.1 ppm
     assert details["free_running_drift_ppm"] == pytest.approx(50.0, abs=1.0)
     assert details["free_running_drift_sigma_ppm"] < 1.0
-
-
-def test_an_rmc_of_an_impossible_year_names_no_hour() -> None:
-    for year, why in (("23", ""), ("58", "no date"), ("79", "no date")):
-        body = f"GPRMC,101112.00,A,5112.3,N,01304.5,E,0.5,30.0,1411{year},,,A"
-        assert parse_rmc(nmea(body).strip().encode())[1] == why

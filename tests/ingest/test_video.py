@@ -2,7 +2,6 @@
 
 import datetime as dt
 import struct
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -15,7 +14,7 @@ from thalweg.ingest.photos import container_time, read_image_stamps, write_frame
 MADE = dt.datetime(2026, 5, 12, 9, 30, 7, tzinfo=dt.UTC)
 
 
-def video(path: Path, *, n: int = 25, rate_hz: float = 10.0, made: dt.datetime | None = MADE) -> Path:
+def video(path, *, n=25, rate_hz=10.0, made=MADE):
     """Frames whose grey says their number, 8 a frame."""
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), rate_hz, (96, 64))
     assert writer.isOpened()
@@ -31,7 +30,7 @@ def video(path: Path, *, n: int = 25, rate_hz: float = 10.0, made: dt.datetime |
     return path
 
 
-def test_frames_get_the_time_of_the_container(tmp_path: Path) -> None:
+def test_frames_get_the_time_of_the_container(tmp_path):
     source = video(tmp_path / "run.mp4")
     assert container_time(source) == MADE
     found = write_frames(source, tmp_path / "frames", every_s=0.5)
@@ -53,7 +52,7 @@ def test_frames_get_the_time_of_the_container(tmp_path: Path) -> None:
     assert set(stamps.table["source"]) == {"table"}
 
 
-def test_a_stated_begin_wins(tmp_path: Path, capsys) -> None:
+def test_a_stated_begin_wins(tmp_path, capsys):
     source = video(tmp_path / "run.mp4", made=None, n=12)
     with pytest.raises(InputError, match="does not say when it was made"):
         write_frames(source, tmp_path / "frames")
@@ -68,7 +67,7 @@ def test_a_stated_begin_wins(tmp_path: Path, capsys) -> None:
     assert first.startswith("run_000000.jpg,2026-05-12T09:30:00.250000Z,0.0")
 
 
-def test_what_is_no_video_is_refused(tmp_path: Path) -> None:
+def test_what_is_no_video_is_refused(tmp_path):
     path = tmp_path / "a.mp4"
     path.write_bytes(b"\0\0\0\x18ftypisom" + bytes(40))
     with pytest.raises(InputError, match="no MP4 or MOV container"):

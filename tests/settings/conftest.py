@@ -1,9 +1,6 @@
 """A good campaign of a real survey, whose logs are small dummy files, and a way to spoil it."""
 
 import copy
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
 
 import pytest
 import yaml
@@ -19,7 +16,7 @@ LOGS = {
     "raw/empty.pcap": b"",
 }
 
-GOOD: dict[str, Any] = {
+GOOD = {
     "campaign": {
         "id": "good",
         "title": "A good campaign",
@@ -47,10 +44,8 @@ GOOD: dict[str, Any] = {
 REMOVE = object()
 """Stands for a key that is taken out."""
 
-Spoil = Callable[..., Path]
 
-
-def patched(changes: dict[str, Any]) -> dict[str, Any]:
+def patched(changes):
     """The good campaign with other values at dotted paths."""
     data = copy.deepcopy(GOOD)
     for dotted, value in changes.items():
@@ -66,7 +61,7 @@ def patched(changes: dict[str, Any]) -> dict[str, Any]:
 
 
 @pytest.fixture
-def survey(tmp_path: Path) -> Path:
+def survey(tmp_path):
     """Folder with the dummy logs."""
     for name, content in LOGS.items():
         path = tmp_path / name
@@ -76,10 +71,10 @@ def survey(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def write(survey: Path) -> Spoil:
+def write(survey):
     """Writes the good campaign with changes at dotted paths, or the text given."""
 
-    def write(changes: dict[str, Any] | str | None = None, name: str = "good.yaml") -> Path:
+    def write(changes=None, name="good.yaml"):
         path = survey / name
         text = (
             changes if isinstance(changes, str) else yaml.safe_dump(patched(changes or {}), sort_keys=False)
@@ -91,6 +86,6 @@ def write(survey: Path) -> Spoil:
 
 
 @pytest.fixture
-def removed() -> object:
+def removed():
     """The mark that takes a key out."""
     return REMOVE

@@ -1,8 +1,5 @@
 """What a campaign of epochs may say wrong, and what it brings along."""
 
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 import pytest
 import yaml
@@ -18,13 +15,13 @@ PLACE = {"crs": "EPSG:25833", "origin": {"lat_deg": 51.05, "lon_deg": 13.25, "h_
 MOUNTS = {"lidar": {"phi_deg": -90.0, "lever_ics_m": [0, 0, 0]}, "antenna": {"lever_ics_m": [0.1, 0.0, -0.4]}}
 
 
-def write(folder: Path, name: str, **sections: Any) -> None:
+def write(folder, name, **sections):
     identity = {"id": name, "title": name, **PLACE, **sections.pop("campaign", {})}
     (folder / f"{name}.yaml").write_text(yaml.safe_dump({"campaign": identity, **sections}))
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
+def folder(tmp_path):
     for month, name in ((4, "spring"), (9, "autumn"), (12, "winter")):
         start = f"2021-{month:02d}-12T08:59:48Z"
         write(tmp_path, name, twin={"size": "tiny", "time_lapse": None, "start_utc": start}, mounts=MOUNTS)
@@ -32,13 +29,13 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def told(folder: Path) -> str:
+def told(folder):
     with pytest.raises(ConfigError) as caught:
         load_campaigns("change", folder)
     return str(caught.value)
 
 
-def test_epochs_join_the_campaigns_and_bring_their_results(folder: Path) -> None:
+def test_epochs_join_the_campaigns_and_bring_their_results(folder):
     campaigns = with_calibrations(load_campaigns("change", folder), folder)
     assert list(campaigns) == ["spring", "autumn", "change"]
     files = CampaignFiles(name="change", campaigns=campaigns)
@@ -51,13 +48,13 @@ def test_epochs_join_the_campaigns_and_bring_their_results(folder: Path) -> None
     assert files.of("spring").georeferencing()["correlations"]
 
 
-def test_three_epochs_are_compared_one_after_the_other_and_first_with_last(folder: Path) -> None:
+def test_three_epochs_are_compared_one_after_the_other_and_first_with_last(folder):
     write(folder, "change", epochs=[{"campaign": name} for name in ("spring", "autumn", "winter")])
     campaigns = with_calibrations(load_campaigns("change", folder), folder)
     assert CampaignFiles(name="change", campaigns=campaigns).epoch_pairs() == ["1-2", "2-3", "1-3"]
 
 
-def test_how_errors_last_comes_from_the_chain_of_each_epoch(folder: Path) -> None:
+def test_how_errors_last_comes_from_the_chain_of_each_epoch(folder):
     camera = {"omega_deg": -90.0, "kappa_deg": 180.0, "lever_ics_m": [-0.25, 0.1, -0.2]}
     write(folder, "photos", twin={"size": "tiny", "time_lapse": {}}, mounts=MOUNTS | {"camera": camera})
     epochs = [{"campaign": "spring"}, {"campaign": "photos", "chain": "fused"}]
@@ -68,7 +65,7 @@ def test_how_errors_last_comes_from_the_chain_of_each_epoch(folder: Path) -> Non
     assert files.epoch_errors("photos") == "results/photos/orientation/errors_fused.npz"
 
 
-def test_an_epoch_by_strips_has_the_errors_of_poses_and_mount_together(folder: Path) -> None:
+def test_an_epoch_by_strips_has_the_errors_of_poses_and_mount_together(folder):
     write(folder, "banked", twin={"size": "tiny", "time_lapse": None}, mounts=MOUNTS, strips={"adjust": True})
     write(folder, "change", epochs=[{"campaign": "spring"}, {"campaign": "banked", "chain": "strips"}])
     campaigns = with_calibrations(load_campaigns("change", folder), folder)
@@ -129,7 +126,7 @@ def test_an_epoch_by_strips_has_the_errors_of_poses_and_mount_together(folder: P
         ({"epochs": [{"campaign": "spring"}, {"campaign": "autumn", "dsm": "a.tif"}]}, "campaign and dsm"),
     ],
 )
-def test_mistakes_name_what_to_do(folder: Path, change: dict[str, Any], words: str) -> None:
+def test_mistakes_name_what_to_do(folder, change, words):
     write(folder, "change", **change)
     assert words in told(folder)
 
@@ -160,9 +157,7 @@ def test_mistakes_name_what_to_do(folder: Path, change: dict[str, Any], words: s
         ([{"leave_out": ["water.gpkg?day=1"]}], "water.gpkg: no such file"),
     ],
 )
-def test_mistakes_of_files_are_told_before_anything_runs(
-    folder: Path, files: list[dict[str, Any]], words: str
-) -> None:
+def test_mistakes_of_files_are_told_before_anything_runs(folder, files, words):
     for name, text in (("a.laz", "points"), ("b.xyz", "1 2 3"), ("a.tif", "heights"), ("empty.laz", "")):
         (folder / name).write_text(text)
     usual = {"clouds": ["a.laz"], "date_utc": "2021-05-12"}
@@ -170,7 +165,7 @@ def test_mistakes_of_files_are_told_before_anything_runs(
     assert words in told(folder)
 
 
-def test_files_join_the_epochs_under_names_of_their_own(folder: Path) -> None:
+def test_files_join_the_epochs_under_names_of_their_own(folder):
     for name in ("a.laz", "b1.xyz", "b2.xyz", "c.tif"):
         (folder / name).write_text("points")
     entries = [
@@ -199,14 +194,14 @@ def test_files_join_the_epochs_under_names_of_their_own(folder: Path) -> None:
     assert files.is_twin()
 
 
-def test_mistakes_of_an_epoch_are_told_with_its_file(folder: Path) -> None:
+def test_mistakes_of_an_epoch_are_told_with_its_file(folder):
     write(folder, "autumn", twin={"size": "huge"}, mounts=MOUNTS)
     text = told(folder)
     assert "the campaign 'autumn' has mistakes of its own" in text
     assert "autumn.yaml" in text
 
 
-def test_a_new_campaign_of_epochs_is_a_good_one(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_new_campaign_of_epochs_is_a_good_one(folder, capsys):
     arguments = ["new-campaign", "flood", "--epochs", "spring", "autumn", "--folder", str(folder)]
     assert main(arguments) == 0
     text = (folder / "flood.yaml").read_text().replace("flood  # CHANGE", "flood # changed")
@@ -214,9 +209,7 @@ def test_a_new_campaign_of_epochs_is_a_good_one(folder: Path, capsys: pytest.Cap
     assert load_campaigns("flood", folder)["flood"].is_change
 
 
-def test_a_new_campaign_of_files_has_their_grid_and_place(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_new_campaign_of_files_has_their_grid_and_place(folder, capsys):
     xyz = np.random.default_rng(1).uniform(0.0, 20.0, (50, 3))
     xyz += np.array([377_000.0, 5_657_000.0, 295.0])
     for name in ("a.laz", "b.laz"):

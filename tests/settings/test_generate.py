@@ -7,7 +7,7 @@ import jsonschema
 import pytest
 
 from thalweg.core import read_yaml
-from thalweg.settings import Campaign, schema_text, write_generated
+from thalweg.settings import Campaign, write_generated
 from thalweg.settings.generate import BEGIN, END, generated, with_manual
 from thalweg.settings.messages import all_paths, node_at, schema
 from thalweg.settings.sections import Ppk
@@ -79,10 +79,6 @@ def test_defaults_hold_every_key_with_its_default(repository):
     assert document.data["mounts"] == expected
 
 
-def test_schema_text_ends_with_newline():
-    assert schema_text().endswith("}\n")
-
-
 def test_ppk_section_mirrors_the_options_of_the_engine():
     options = pytest.importorskip("thalweg.ingest.ppk.options").PpkOptions
     defaults = {f.name: f.default for f in dataclasses.fields(options) if not f.name.startswith("base_")}
@@ -96,7 +92,7 @@ _ERRORS = re.compile(
 )
 
 
-def test_a_default_of_an_error_names_its_source_or_says_that_there_is_none() -> None:
+def test_a_default_of_an_error_names_its_source_or_says_that_there_is_none():
     paths = [path for path in all_paths() if _ERRORS.fullmatch(".".join(path))]
     assert len(paths) == 15
     for path in paths:

@@ -1,8 +1,5 @@
 """What a campaign file may say wrong about photographs of the bank."""
 
-from pathlib import Path
-from typing import Any
-
 import pytest
 import yaml
 
@@ -25,7 +22,7 @@ WHOLE = {"images": ["photos"], "control_points": ["targets.csv"]}
         (None, None, None, {"size": "tiny"}),
     ],
 )
-def test_complete_campaigns_have_no_mistake(logs: Any, mounts: Any, images: Any, twin: Any) -> None:
+def test_complete_campaigns_have_no_mistake(logs, mounts, images, twin):
     assert list(check_images(logs, mounts, images, twin)) == []
 
 
@@ -38,16 +35,14 @@ def test_complete_campaigns_have_no_mistake(logs: Any, mounts: Any, images: Any,
         ({"masks": ["made"]}, PLACED, None, "logs.time_lapse.masks", "there are none"),
     ],
 )
-def test_a_mistake_names_its_place_and_a_cure(
-    logs: Any, mounts: Any, twin: Any, where: str, words: str
-) -> None:
+def test_a_mistake_names_its_place_and_a_cure(logs, mounts, twin, where, words):
     (mistake,) = check_images(logs, mounts, None, twin)
     assert mistake.dotted == where
     assert words in mistake.found
     assert mistake.cure
 
 
-def write_campaign(folder: Path, **time_lapse: Any) -> Path:
+def write_campaign(folder, **time_lapse):
     (folder / "photos").mkdir(exist_ok=True)
     for name in ("a.pcap", "b.anpp", "c.pos", "photos/1.JPG", "photos/notes.txt", "gcp_list.txt"):
         (folder / name).write_text("x")
@@ -70,7 +65,7 @@ def write_campaign(folder: Path, **time_lapse: Any) -> Path:
     return path
 
 
-def test_folders_of_photographs_and_masks(tmp_path: Path) -> None:
+def test_folders_of_photographs_and_masks(tmp_path):
     """The manual says `images: [photos]`."""
     (tmp_path / "masks").mkdir()
     (tmp_path / "masks" / "1.JPG.png").write_text("x")
@@ -80,7 +75,7 @@ def test_folders_of_photographs_and_masks(tmp_path: Path) -> None:
     assert campaign.log_files("masks") == [tmp_path / "masks"]
 
 
-def test_a_folder_without_photographs(tmp_path: Path) -> None:
+def test_a_folder_without_photographs(tmp_path):
     path = write_campaign(tmp_path, images=["photos"], control_points=["gcp_list.txt"])
     (tmp_path / "photos" / "1.JPG").unlink()
     with pytest.raises(ConfigError, match=r"photos: there is no photograph in this folder.*or one above it"):
@@ -90,7 +85,7 @@ def test_a_folder_without_photographs(tmp_path: Path) -> None:
     assert load_campaigns([str(path)], tmp_path)["good"].log_files("time_lapse") == [tmp_path / "photos"]
 
 
-def test_what_lies_below_a_folder_of_photographs(tmp_path: Path) -> None:
+def test_what_lies_below_a_folder_of_photographs(tmp_path):
     """Masks may; photographs of another key, or a folder named twice, would be read as well."""
     for name in ("masks", "left"):
         (tmp_path / "photos" / name).mkdir(parents=True)
@@ -104,12 +99,11 @@ def test_what_lies_below_a_folder_of_photographs(tmp_path: Path) -> None:
             load_campaigns([str(path)], tmp_path)
 
 
-def test_interior_orientations_of_folders(tmp_path: Path) -> None:
+def test_interior_orientations_of_folders(tmp_path):
     (tmp_path / "left.yaml").write_text("x")
     given = {"images": ["photos"], "control_points": ["gcp_list.txt"]}
     interiors = {"left": ["left.yaml"], "right/low": ["left.yaml"]}
     campaign = load_campaigns([str(write_campaign(tmp_path, interiors=interiors, **given))], tmp_path)["good"]
-    assert campaign.logs is not None
     assert list(campaign.logs.time_lapse.interiors) == ["left", "right/low"]
     assert campaign.log_files("interior.left") == [tmp_path / "left.yaml"]
     assert campaign.plain()["logs"]["time_lapse"]["interiors"]["left"] == [str(tmp_path / "left.yaml")]
@@ -123,7 +117,7 @@ def test_interior_orientations_of_folders(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("source", "wrong"), [("ins", True), ("sbet", True), ("pos", False), ("ppk", False)])
-def test_positions_that_an_ins_has_filtered_are_none_of_the_antenna(source: str, wrong: bool) -> None:
+def test_positions_that_an_ins_has_filtered_are_none_of_the_antenna(source, wrong):
     antenna = {"adjustment": {"antenna": {"use": True}}}
     found = list(check_images(WHOLE, PLACED, antenna, None, {"position_source": source}))
     assert [m.dotted for m in found] == ["images.adjustment.antenna.use"] * wrong
@@ -136,7 +130,7 @@ def test_positions_that_an_ins_has_filtered_are_none_of_the_antenna(source: str,
     assert not list(check_images(finished, PLACED, antenna, None, {"position_source": source}))
 
 
-def test_one_file_may_hold_points_and_marks(tmp_path: Path) -> None:
+def test_one_file_may_hold_points_and_marks(tmp_path):
     """OpenDroneMap's gcp_list.txt does."""
     both = {"control_points": ["gcp_list.txt"], "marks": ["gcp_list.txt"]}
     load_campaigns([str(write_campaign(tmp_path, images=["photos"], **both))], tmp_path)

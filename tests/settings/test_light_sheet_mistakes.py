@@ -1,18 +1,13 @@
 """What a campaign file may say wrong about the underwater light-sheet sensor."""
 
-import json
-from pathlib import Path
-from typing import Any
-
 import pytest
 import yaml
 
 from thalweg.core import ConfigError
 from thalweg.settings.load import load_campaign
-from thalweg.settings.sections import LightSheetLogs
 from thalweg_lab.settings import check_sheet_twin
 
-FILES: dict[str, list[str]] = {
+FILES = {
     "sensor": ["sensor.yaml"],
     "camera_marks": ["camera_marks.csv"],
     "mark_points": ["mark_points.csv"],
@@ -23,7 +18,7 @@ FILES: dict[str, list[str]] = {
 }
 
 
-def campaign(folder: Path, twin: Any = None, more: dict[str, Any] | None = None, **changes: Any) -> Path:
+def campaign(folder, twin=None, more=None, **changes):
     """A campaign of dummy files; ``None`` takes a key out."""
     for name in ("grid", "panels"):
         (folder / name).mkdir(exist_ok=True)
@@ -33,22 +28,20 @@ def campaign(folder: Path, twin: Any = None, more: dict[str, Any] | None = None,
             (folder / name).write_text("x")
     logs = {key: files for key, files in (FILES | changes).items() if files is not None}
     origin = {"lat_deg": 51.05, "lon_deg": 13.25, "h_ell_m": 300.0}
-    data: dict[str, Any] = {
-        "campaign": {"id": "good", "title": "t", "crs": "EPSG:25833", "origin": origin, "seed": 1}
-    }
+    data = {"campaign": {"id": "good", "title": "t", "crs": "EPSG:25833", "origin": origin, "seed": 1}}
     data |= {"twin": twin} if twin else {"logs": {"light_sheet": logs, **(more or {})}}
     path = folder / "good.yaml"
     path.write_text(yaml.safe_dump(data))
     return path
 
 
-def told(path: Path) -> str:
+def told(path):
     with pytest.raises(ConfigError) as caught:
         load_campaign(path)
     return str(caught.value)
 
 
-def test_a_complete_campaign_has_absolute_paths(tmp_path: Path) -> None:
+def test_a_complete_campaign_has_absolute_paths(tmp_path):
     found = load_campaign(campaign(tmp_path))
     assert found.is_basin
     assert not found.is_calibration
@@ -57,14 +50,14 @@ def test_a_complete_campaign_has_absolute_paths(tmp_path: Path) -> None:
     assert found.log_files("sheet_sensor") == [tmp_path / "sensor.yaml"]
 
 
-def test_panels_may_be_left_out_together(tmp_path: Path) -> None:
+def test_panels_may_be_left_out_together(tmp_path):
     found = load_campaign(campaign(tmp_path, panel_images=None, panels=None))
     assert found.is_basin
     assert found.log_files("panels") == []
 
 
 @pytest.mark.parametrize("key", ["sensor", "camera_marks", "mark_points", "grid_images", "grid"])
-def test_what_is_missing_is_told_with_what_it_is_needed_for(tmp_path: Path, key: str) -> None:
+def test_what_is_missing_is_told_with_what_it_is_needed_for(tmp_path, key):
     text = told(campaign(tmp_path, **{key: None}))
     assert f"logs.light_sheet.{key}: missing" in text
     assert f"Add the line `{key}: [...]`" in text
@@ -74,13 +67,13 @@ def test_what_is_missing_is_told_with_what_it_is_needed_for(tmp_path: Path, key:
 
 
 @pytest.mark.parametrize(("key", "other"), [("panels", "panel_images"), ("panel_images", "panels")])
-def test_panels_without_their_other_half(tmp_path: Path, key: str, other: str) -> None:
+def test_panels_without_their_other_half(tmp_path, key, other):
     text = told(campaign(tmp_path, **{key: None}))
     assert f"logs.light_sheet.{key}: missing" in text
     assert f"beside logs.light_sheet.{other}" in text
 
 
-def marker_field(folder: Path, *keys: str) -> dict[str, list[str]]:
+def marker_field(folder, *keys):
     """Those keys of a marker field, with dummy files."""
     (folder / "field").mkdir()
     for name in ("camera_field.yaml", "camera_field_marks.csv", "field/1.png", "field/2.png"):
@@ -94,13 +87,13 @@ def marker_field(folder: Path, *keys: str) -> dict[str, list[str]]:
 
 
 @pytest.mark.parametrize("seen", ["camera_field_images", "camera_field_marks"])
-def test_a_marker_field_has_a_description_and_what_was_seen(tmp_path: Path, seen: str) -> None:
+def test_a_marker_field_has_a_description_and_what_was_seen(tmp_path, seen):
     found = load_campaign(campaign(tmp_path, **marker_field(tmp_path, "camera_field", seen)))
     assert found.log_files("camera_field") == [tmp_path / "camera_field.yaml"]
     assert len(found.log_files(seen)) == 1
 
 
-def test_a_marker_field_without_a_part_and_with_too_many(tmp_path: Path) -> None:
+def test_a_marker_field_without_a_part_and_with_too_many(tmp_path):
     files = marker_field(tmp_path, "camera_field", "camera_field_images", "camera_field_marks")
     assert "camera_field_marks: marks beside the pictures" in told(campaign(tmp_path, **files))
     for seen in ("camera_field_images", "camera_field_marks"):
@@ -115,7 +108,7 @@ def test_a_marker_field_without_a_part_and_with_too_many(tmp_path: Path) -> None
     assert "camera_field_marks: 2 files; expected one file" in told(campaign(tmp_path, **two))
 
 
-def test_files_that_are_not_there(tmp_path: Path) -> None:
+def test_files_that_are_not_there(tmp_path):
     text = told(campaign(tmp_path, sensor=["sensr.yaml"], grid_images=["grid/*.tif"], panel_images=["panel"]))
     assert "sensr.yaml: no such file" in text
     assert "Did you mean sensor.yaml" in text
@@ -123,7 +116,7 @@ def test_files_that_are_not_there(tmp_path: Path) -> None:
     assert "panel: no such file" in text
 
 
-def test_an_empty_file_and_a_folder_without_images(tmp_path: Path) -> None:
+def test_an_empty_file_and_a_folder_without_images(tmp_path):
     path = campaign(tmp_path, panel_images=["notes"])
     (tmp_path / "grid.yaml").write_text("")
     (tmp_path / "notes").mkdir()
@@ -134,24 +127,24 @@ def test_an_empty_file_and_a_folder_without_images(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("named", [["grid/*.png"], ["grid"], ["grid/1.png", "grid/2.png"]])
-def test_more_than_one_image_of_the_grid(tmp_path: Path, named: list[str]) -> None:
+def test_more_than_one_image_of_the_grid(tmp_path, named):
     path = campaign(tmp_path, grid_images=named)
     (tmp_path / "grid" / "2.png").write_text("x")
     text = told(path)
     assert "logs.light_sheet.grid_images: 2 images; expected one image" in text
 
 
-def test_two_files_where_one_belongs(tmp_path: Path) -> None:
+def test_two_files_where_one_belongs(tmp_path):
     (tmp_path / "old.yaml").write_text("x")
     text = told(campaign(tmp_path, grid=["grid.yaml", "old.yaml"]))
     assert "logs.light_sheet.grid: 2 files; expected one file" in text
 
 
-def test_the_same_file_twice(tmp_path: Path) -> None:
+def test_the_same_file_twice(tmp_path):
     assert "panels.csv is already named at" in told(campaign(tmp_path, camera_marks=["panels.csv"]))
 
 
-def test_a_boat_beside_the_basin(tmp_path: Path) -> None:
+def test_a_boat_beside_the_basin(tmp_path):
     (tmp_path / "a.pcap").write_text("x")
     text = told(campaign(tmp_path, more={"lidar": ["a.pcap"]}))
     assert "logs.lidar: recordings of a boat beside those of the light-sheet sensor" in text
@@ -167,7 +160,7 @@ def test_a_boat_beside_the_basin(tmp_path: Path) -> None:
         ({"lines": {"least_contrast_dn": -1}}, "light_sheet.lines.least_contrast_dn"),
     ],
 )
-def test_settings_without_a_meaning(tmp_path: Path, section: dict[str, Any], words: str) -> None:
+def test_settings_without_a_meaning(tmp_path, section, words):
     path = campaign(tmp_path)
     data = yaml.safe_load(path.read_text()) | {"light_sheet": section}
     path.write_text(yaml.safe_dump(data))
@@ -177,7 +170,7 @@ def test_settings_without_a_meaning(tmp_path: Path, section: dict[str, Any], wor
 # ---------------------------------------------------------------- the twin
 
 
-def test_a_twin_whose_levels_agree(tmp_path: Path) -> None:
+def test_a_twin_whose_levels_agree(tmp_path):
     assert load_campaign(campaign(tmp_path, twin={"size": "basin_tiny"})).is_basin
     three = {"size": "basin_tiny", "light_sheet": {"levels_mm": [60.0, 105.0, 150.0]}}
     assert list(check_sheet_twin(three, {"calibration": {"levels": 3}})) == []
@@ -194,7 +187,7 @@ def test_a_twin_whose_levels_agree(tmp_path: Path) -> None:
         ({"light_sheet": {"levels_mm": [60.0, 60.0]}}, None, "found [60.0, 60.0]"),
     ],
 )
-def test_a_twin_whose_levels_do_not(tmp_path: Path, twin: dict[str, Any], section: Any, words: str) -> None:
+def test_a_twin_whose_levels_do_not(tmp_path, twin, section, words):
     path = campaign(tmp_path, twin={"size": "basin_tiny"} | twin)
     if section:
         path.write_text(yaml.safe_dump(yaml.safe_load(path.read_text()) | {"light_sheet": section}))
@@ -203,31 +196,9 @@ def test_a_twin_whose_levels_do_not(tmp_path: Path, twin: dict[str, Any], sectio
     assert "Write" in text
 
 
-def test_panels_of_the_twin_are_some(tmp_path: Path) -> None:
+def test_panels_of_the_twin_are_some(tmp_path):
     path = campaign(tmp_path, twin={"size": "basin_tiny", "light_sheet": {"panels_mm": []}})
     assert "panels_mm" in told(path)
 
 
 # ---------------------------------------------------------------- documents
-
-
-def test_every_key_is_described(repository: Path) -> None:
-    schema = json.loads((repository / "config/schema.json").read_text())["$defs"]
-    for name in (
-        "LightSheet",
-        "SheetLines",
-        "SheetCalibration",
-        "LightSheetLogs",
-        "TwinLightSheet",
-        "SheetImage",
-    ):
-        described = schema[name]["properties"]
-        assert described, name
-        assert all(field.get("description") for field in described.values()), name
-    guide = (repository / "docs/light_sheet.md").read_text()
-    assert all(f"{key}: [" in guide for key in (*FILES, "camera_field", "camera_field_images"))
-    assert set(FILES) <= set(LightSheetLogs.model_fields)
-    readme = (repository / "config/README.md").read_text()
-    assert all(f"`light_sheet.{key}`" in readme for key in FILES)
-    for key in ("window_markers", "largest_sigma_px", "jointly"):
-        assert f"{key}`" in readme

@@ -3,7 +3,6 @@
 import os
 import shutil
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -14,7 +13,7 @@ from thalweg.settings.messages import CampaignError
 GONE = "<removed>"
 
 # (changes at dotted paths, path in the message, fragments of found, expected and cure)
-TABLE: list[tuple[dict[str, Any], str, tuple[str, ...]]] = [
+TABLE = [
     # keys and sections
     ({"campaign.titel": "x"}, "campaign.titel", ("unknown key", "one of id, title", "Did you mean title?")),
     ({"georeferencing.max_range": 9}, "georeferencing.max_range", ("Did you mean max_range_m?",)),
@@ -288,7 +287,7 @@ TABLE: list[tuple[dict[str, Any], str, tuple[str, ...]]] = [
 ]
 
 
-def mistakes_of(path: Path) -> CampaignError:
+def mistakes_of(path):
     with pytest.raises(CampaignError) as caught:
         load_campaign(path)
     return caught.value

@@ -1,8 +1,5 @@
 """``mounts.calibration``: what it names is looked into before the first job."""
 
-from collections.abc import Callable
-from pathlib import Path
-
 import numpy as np
 import pytest
 import yaml
@@ -18,7 +15,7 @@ from thalweg.settings.sections import is_calibration_path
 IDENTITY = {"title": "x", "crs": "EPSG:25833", "origin": {"lat_deg": 51.0, "lon_deg": 13.2, "h_ell_m": 300.0}}
 
 
-def write_boat(path: Path, *names: str, lever_m: tuple[float, float, float] = (-0.35, 0.0, -0.25)) -> Path:
+def write_boat(path, *names, lever_m=(-0.35, 0.0, -0.25)):
     """A calibration with a lidar, an antenna or another block."""
     pose = Rigid(R=rotation_opk(0, -np.pi / 2, 0), shift_m=np.array(lever_m), cov=np.eye(6) * 1e-6)
     parts = []
@@ -34,10 +31,10 @@ def write_boat(path: Path, *names: str, lever_m: tuple[float, float, float] = (-
 
 
 @pytest.fixture
-def campaigns(tmp_path: Path) -> Callable[..., Path]:
+def campaigns(tmp_path):
     """Writes a campaign of the twin into a folder of campaigns and gives its path."""
 
-    def write(name: str, calibration: object = None, size: str = "tiny", **mounts: object) -> Path:
+    def write(name, calibration=None, size="tiny", **mounts):
         mounts |= {} if calibration is None else {"calibration": calibration}
         data = {"campaign": {"id": name, **IDENTITY}, "twin": {"size": size}, "mounts": mounts}
         path = tmp_path / f"{name}.yaml"
@@ -48,7 +45,7 @@ def campaigns(tmp_path: Path) -> Callable[..., Path]:
     return write
 
 
-def mistake(path: Path) -> str:
+def mistake(path):
     """The only mistake of a campaign, at the line of its setting."""
     with pytest.raises(CampaignError) as caught:
         load_campaigns(path.stem, path.parent)

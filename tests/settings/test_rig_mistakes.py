@@ -2,8 +2,6 @@
 
 import re
 import shutil
-from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -24,7 +22,7 @@ RIG = {"mount": {"omega_deg": 90.0}}
         (FIELD, None, False, None),
     ],
 )
-def test_whole_sets_are_taken(logs: Any, rig: Any, lidar: bool, panorama: Any) -> None:
+def test_whole_sets_are_taken(logs, rig, lidar, panorama):
     assert list(check_rig(logs, rig, lidar, panorama)) == []
 
 
@@ -43,14 +41,14 @@ def test_whole_sets_are_taken(logs: Any, rig: Any, lidar: bool, panorama: Any) -
         ({"images": ["theta"], **FIELD}, RIG, False, ("panorama", "mode"), "no lidar"),
     ],
 )
-def test_what_is_missing_is_told(logs: Any, rig: Any, lidar: bool, path: tuple, words: str) -> None:
+def test_what_is_missing_is_told(logs, rig, lidar, path, words):
     (mistake,) = check_rig(logs, rig, lidar, None)
     assert mistake.path == path
     assert words in mistake.found
     assert mistake.cure
 
 
-def test_the_calibration_of_the_boat_may_calibrate_its_rig(repository: Path, tmp_path: Path) -> None:
+def test_the_calibration_of_the_boat_may_calibrate_its_rig(repository, tmp_path):
     """What it names has to, which is seen where both campaigns are."""
     logs = {"images": ["theta"]}
     assert list(check_rig(logs, RIG, True, None, mounts={"calibration": "yard"})) == []
@@ -67,7 +65,7 @@ def test_the_calibration_of_the_boat_may_calibrate_its_rig(repository: Path, tmp
     assert mistake.found == "files of a rig, and the calibration field_small calibrates none"
 
 
-def test_a_rig_that_orients_the_boat_needs_files_and_a_datum() -> None:
+def test_a_rig_that_orients_the_boat_needs_files_and_a_datum():
     images = {"source": "rig"}
     (mistake,) = check_rig(None, None, True, None, images)
     assert mistake.path == ("images", "source")

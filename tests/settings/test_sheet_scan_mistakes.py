@@ -1,15 +1,12 @@
 """What a campaign file may say wrong about the scans of the light-sheet sensor."""
 
-from pathlib import Path
-from typing import Any
-
 import pytest
 import yaml
 
-from thalweg.core import ConfigError
+from tests.settings.test_light_sheet_mistakes import told
 from thalweg.settings.load import load_campaign
 
-SCAN: dict[str, Any] = {
+SCAN = {
     "images": ["wreck"],
     "pulses": ["wreck/pulses.csv"],
     "panel": ["panel.csv"],
@@ -18,7 +15,7 @@ SCAN: dict[str, Any] = {
     "reference": ["wreck.ply"],
     "pairs": ["wreck/pairs.csv"],
 }
-BASIN: dict[str, Any] = {
+BASIN = {
     "sensor": ["sensor.yaml"],
     "camera_marks": ["camera_marks.csv"],
     "mark_points": ["mark_points.csv"],
@@ -27,7 +24,7 @@ BASIN: dict[str, Any] = {
 }
 
 
-def campaign(folder: Path, scans: Any) -> Path:
+def campaign(folder, scans):
     """A basin with all files that the good scan names."""
     (folder / "wreck").mkdir(exist_ok=True)
     (folder / "wreck" / "1.png").write_text("x")
@@ -45,13 +42,7 @@ def campaign(folder: Path, scans: Any) -> Path:
     return path
 
 
-def told(path: Path) -> str:
-    with pytest.raises(ConfigError) as caught:
-        load_campaign(path)
-    return str(caught.value)
-
-
-def test_a_complete_scan_has_absolute_paths(tmp_path: Path) -> None:
+def test_a_complete_scan_has_absolute_paths(tmp_path):
     found = load_campaign(campaign(tmp_path, {"wreck": SCAN}))
     assert found.log_files("wreck") == [tmp_path / "wreck"]
     assert found.log_files("wreck.marks") == [tmp_path / "wreck" / "marks.csv"]
@@ -59,27 +50,27 @@ def test_a_complete_scan_has_absolute_paths(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("part", ["images", "panel", "marks", "camera"])
-def test_what_a_scan_needs(tmp_path: Path, part: str) -> None:
+def test_what_a_scan_needs(tmp_path, part):
     text = told(campaign(tmp_path, {"wreck": {k: v for k, v in SCAN.items() if k != part}}))
     assert f"logs.light_sheet.scans.wreck.{part}: missing" in text
     assert f"Add the line `{part}: [...]`" in text
 
 
-def test_a_scan_without_reference_or_pulses_is_none_the_less_a_scan(tmp_path: Path) -> None:
+def test_a_scan_without_reference_or_pulses_is_none_the_less_a_scan(tmp_path):
     rest = {k: v for k, v in SCAN.items() if k not in ("reference", "pairs", "pulses")}
     found = load_campaign(campaign(tmp_path, {"wreck": rest}))
     assert found.log_files("wreck.reference") == []
 
 
 @pytest.mark.parametrize(("one", "other"), [("reference", "pairs"), ("pairs", "reference")])
-def test_a_reference_needs_pairs_and_pairs_a_reference(tmp_path: Path, one: str, other: str) -> None:
+def test_a_reference_needs_pairs_and_pairs_a_reference(tmp_path, one, other):
     text = told(campaign(tmp_path, {"wreck": {k: v for k, v in SCAN.items() if k != other}}))
     assert f"scans.wreck.{other}: missing" in text
     assert f"beside {one}" in text
     assert "Pick three or more places" in text
 
 
-def test_two_files_where_one_belongs(tmp_path: Path) -> None:
+def test_two_files_where_one_belongs(tmp_path):
     (tmp_path / "other.csv").write_text("x")
     text = told(campaign(tmp_path, {"wreck": SCAN | {"marks": ["wreck/marks.csv", "other.csv"]}}))
     assert "scans.wreck.marks: 2 files" in text
@@ -87,18 +78,18 @@ def test_two_files_where_one_belongs(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["calibration", "panels", "strip", "lidar", "sheet_sensor"])
-def test_names_that_other_series_have(tmp_path: Path, name: str) -> None:
+def test_names_that_other_series_have(tmp_path, name):
     text = told(campaign(tmp_path, {name: SCAN}))
     assert f"scans.{name}: a scan called {name}" in text
     assert "Call the scan by its object" in text
 
 
 @pytest.mark.parametrize("name", ["Wreck", "1wreck", "wreck of 1902", "", "a" * 41, "../up"])
-def test_names_that_make_no_folder(tmp_path: Path, name: str) -> None:
+def test_names_that_make_no_folder(tmp_path, name):
     assert "scans" in told(campaign(tmp_path, {name: SCAN}))
 
 
-def test_unknown_keys_and_missing_files_are_named(tmp_path: Path) -> None:
+def test_unknown_keys_and_missing_files_are_named(tmp_path):
     text = told(campaign(tmp_path, {"wreck": SCAN | {"marcs": ["x"], "camera": ["camra.json"]}}))
     assert "scans.wreck.marcs" in text
     assert "marks" in text
@@ -108,11 +99,11 @@ def test_unknown_keys_and_missing_files_are_named(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("scans", [["wreck"], "wreck", {"wreck": ["1.png"]}, {"wreck": None}])
-def test_scans_that_are_no_table(tmp_path: Path, scans: Any) -> None:
+def test_scans_that_are_no_table(tmp_path, scans):
     assert "scans" in told(campaign(tmp_path, scans))
 
 
-def test_all_mistakes_of_two_scans_stand_in_one_message(tmp_path: Path) -> None:
+def test_all_mistakes_of_two_scans_stand_in_one_message(tmp_path):
     one = {k: v for k, v in SCAN.items() if k != "panel"}
     two = {k: v for k, v in SCAN.items() if k != "camera"}
     text = told(campaign(tmp_path, {"one": one, "two": two}))
@@ -120,7 +111,7 @@ def test_all_mistakes_of_two_scans_stand_in_one_message(tmp_path: Path) -> None:
     assert "scans.two.camera: missing" in text
 
 
-def test_a_scan_alone_is_no_campaign(tmp_path: Path) -> None:
+def test_a_scan_alone_is_no_campaign(tmp_path):
     """Its points need a calibrated sensor."""
     path = campaign(tmp_path, {"wreck": SCAN})
     data = yaml.safe_load(path.read_text())

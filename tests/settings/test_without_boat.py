@@ -1,8 +1,5 @@
 """Campaigns without a boat: photographs, a camera that stays, a finished cloud, and what they may lack."""
 
-from pathlib import Path
-from typing import Any
-
 import pytest
 import yaml
 
@@ -15,7 +12,7 @@ FIXED = {"marks": ["marks.csv"], "control_points": ["points.csv"], "interior": [
 CLOUD = {"cloud": ["a.laz"], "reference": ["b.laz"]}
 
 
-def written(folder: Path, logs: dict[str, Any], **more: Any) -> Path:
+def written(folder, logs, **more):
     (folder / "photos").mkdir()
     for name in (*FILES, "photos/a.jpg"):
         (folder / name).write_text(name)
@@ -36,7 +33,7 @@ def written(folder: Path, logs: dict[str, Any], **more: Any) -> Path:
         (CLOUD, "cloud"),
     ],
 )
-def test_complete_ones_need_neither_origin_nor_mounts(tmp_path: Path, logs: Any, kind: str) -> None:
+def test_complete_ones_need_neither_origin_nor_mounts(tmp_path, logs, kind):
     campaign = load_campaign(written(tmp_path, logs))
     assert campaign.kind == kind
     assert campaign.campaign.origin is None
@@ -85,13 +82,13 @@ def test_complete_ones_need_neither_origin_nor_mounts(tmp_path: Path, logs: Any,
         ({"ins": ["boat.anpp"]}, "EPSG:25833", "campaign.origin", "missing"),
     ],
 )
-def test_what_is_missing_is_named(tmp_path: Path, logs: Any, crs: str, where: str, words: str) -> None:
+def test_what_is_missing_is_named(tmp_path, logs, crs, where, words):
     with pytest.raises(ConfigError) as caught:
         load_campaigns([str(written(tmp_path, logs, crs=crs))], tmp_path)
     assert any(f" {where}: " in line and words in line for line in str(caught.value).splitlines())
 
 
-def test_a_stated_time_needs_its_standard_deviation(tmp_path: Path) -> None:
+def test_a_stated_time_needs_its_standard_deviation(tmp_path):
     lidar = {"clock": {"first_packet_utc": "2026-05-12T12:00:00Z"}}
     with pytest.raises(ConfigError, match=r"lidar_accuracy.sigma_time_s"):
         load_campaign(written(tmp_path, CLOUD, lidar=lidar))
@@ -100,7 +97,7 @@ def test_a_stated_time_needs_its_standard_deviation(tmp_path: Path) -> None:
     assert load_campaign(path).lidar.clock.first_packet_unix_s == 1_778_587_200.0
 
 
-def test_the_points_of_a_fixed_camera_tell_its_lens(tmp_path: Path) -> None:
+def test_the_points_of_a_fixed_camera_tell_its_lens(tmp_path):
     """No calibration file is needed: the setting says what is estimated instead."""
     logs = {"fixed_camera": {name: FIXED[name] for name in ("marks", "control_points")}}
     campaign = load_campaign(written(tmp_path, logs))
@@ -112,7 +109,7 @@ def test_the_points_of_a_fixed_camera_tell_its_lens(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("kind", ["photographs", "fixed_camera", "cloud"])
-def test_a_new_campaign_is_one_of_its_kind(tmp_path: Path, kind: str) -> None:
+def test_a_new_campaign_is_one_of_its_kind(tmp_path, kind):
     listed = {
         "photographs": {"time_lapse": "photos", "control_points": "points.csv", "image_marks": "marks.csv"},
         "fixed_camera": {
@@ -133,7 +130,7 @@ def test_a_new_campaign_is_one_of_its_kind(tmp_path: Path, kind: str) -> None:
     assert campaign.reference.cell_m == (0.2 if kind == "cloud" else 0.05)
 
 
-def test_many_files_are_a_pattern_and_of_several_tables_one_is_to_be_kept(tmp_path: Path) -> None:
+def test_many_files_are_a_pattern_and_of_several_tables_one_is_to_be_kept(tmp_path):
     """A pattern is written only where it finds the listed files and no others."""
     marks = [tmp_path / f"marks/IMG_{k}.csv" for k in range(9)]
     for path in (*marks, tmp_path / "marks/points.csv"):

@@ -2,7 +2,6 @@
 
 import subprocess
 import sys
-from pathlib import Path
 
 RUN = """\
 import sys
@@ -12,13 +11,13 @@ raise SystemExit(main(sys.argv[1:]))
 """
 
 
-def run(*arguments: str, repository: Path) -> subprocess.CompletedProcess[str]:
+def run(*arguments, repository):
     return subprocess.run(
         [sys.executable, "-c", RUN, *arguments], cwd=repository, capture_output=True, text=True, check=False
     )
 
 
-def test_a_twin_without_the_laboratory_is_refused_with_what_is_missing(repository: Path) -> None:
+def test_a_twin_without_the_laboratory_is_refused_with_what_is_missing(repository):
     result = run("check-config", "tiny", repository=repository)
     assert result.returncode == 2
     assert "twin: a digital twin, but the laboratory that simulates it (package thalweg_lab)" in result.stderr
@@ -26,7 +25,7 @@ def test_a_twin_without_the_laboratory_is_refused_with_what_is_missing(repositor
     assert result.stderr.startswith("1 mistake")
 
 
-def test_a_survey_needs_no_laboratory(repository: Path, tmp_path: Path) -> None:
+def test_a_survey_needs_no_laboratory(repository, tmp_path):
     points = "\n".join(f"{x} {y} {(x * y) % 3}" for x in range(12) for y in range(12))
     for name in ("cloud.xyz", "reference.xyz"):
         (tmp_path / name).write_text(points, encoding="utf-8")

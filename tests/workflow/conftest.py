@@ -10,7 +10,6 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -29,14 +28,14 @@ class House:
 
     root: Path
 
-    def command(self, *words: str) -> list[str]:
+    def command(self, *words):
         return [sys.executable, "-m", "snakemake", "--cores", "2", *words]
 
-    def environment(self) -> dict[str, str]:
+    def environment(self):
         # the copy must stand on its own, whatever is installed
         return {**os.environ, "PYTHONPATH": str(self.root / "src")}
 
-    def snakemake(self, *words: str, check: bool = True) -> subprocess.CompletedProcess[str]:
+    def snakemake(self, *words, check=True):
         """Run Snakemake as a fork of `SERVER`, as the command line does but for the imports."""
         server = _server()
         assert server.stdin
@@ -115,7 +114,7 @@ needs (3 s); the tests here start Snakemake seventy times. `test_forked` has the
 
 
 @cache
-def _server() -> subprocess.Popen[str]:
+def _server():
     environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
     command = [sys.executable, "-c", SERVER]
     pipe = subprocess.PIPE
@@ -124,7 +123,7 @@ def _server() -> subprocess.Popen[str]:
     return server
 
 
-def copy_house(repository: Path, target: Path) -> House:
+def copy_house(repository, target):
     for name in COPIED:
         source = repository / name
         if source.is_dir():
@@ -136,19 +135,19 @@ def copy_house(repository: Path, target: Path) -> House:
 
 
 @pytest.fixture(scope="session")
-def house_builder() -> Callable[[Path, Path], House]:
+def house_builder():
     """`copy_house`, for tests that need a copy of their own."""
     return copy_house
 
 
 @pytest.fixture(scope="session")
-def empty_house(repository: Path, tmp_path_factory: pytest.TempPathFactory) -> House:
+def empty_house(repository, tmp_path_factory):
     """A copy without results, for dry runs."""
     return copy_house(repository, tmp_path_factory.mktemp("house"))
 
 
 @pytest.fixture(scope="session")
-def tiny_house(repository: Path, tmp_path_factory: pytest.TempPathFactory) -> House:
+def tiny_house(repository, tmp_path_factory):
     """A copy in which the tiny campaign ran, was killed during the lidar simulation, and was resumed.
 
     Resumed in three parts: the twin alone, the processing while the folder of the truth is away, and the rest
@@ -215,13 +214,13 @@ PROCESSED = (
 """What the processing of the tiny campaign ends in, apart from pictures and pages."""
 
 
-def part(house: House, names: tuple[str, ...], rules: set[str]) -> None:
+def part(house, names, rules):
     """Make some results of the tiny campaign by these rules alone; what other rules make has to be there."""
     targets = [f"results/tiny/{name}" for name in names]
     house.snakemake(*targets, "--config", "campaign=tiny", "--allowed-rules", *sorted(rules))
 
 
-def rule_names(house: House) -> set[str]:
+def rule_names(house):
     """All rules of the workflow."""
     pictures, _ = rows_of(read_yaml(house.root / "workflow/figures.yaml"))
     return {row.rule for row in pictures if row.draw} | {
@@ -231,7 +230,7 @@ def rule_names(house: House) -> set[str]:
     }
 
 
-def wait_for(condition: Callable[[], bool], seconds: float) -> None:
+def wait_for(condition, seconds):
     end = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < end, f"nothing happened in {seconds} s"

@@ -1,13 +1,12 @@
 """The light-sheet sensor from recordings to a calibrated sensor: the twin's, and as users have it."""
 
 import json
-from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 import yaml
+from numpy.testing import assert_allclose, assert_array_equal
 
 from tests.bands import band
 from thalweg.core.calibration import read_calibration
@@ -23,14 +22,14 @@ TARGETS = (f"results/{NAME}/triangulation/panels.csv", TRUTH)
 
 
 @pytest.fixture(scope="module")
-def hall(repository: Path, tmp_path_factory: pytest.TempPathFactory, house_builder: Callable):
+def hall(repository, tmp_path_factory, house_builder):
     """A copy in which the sensor of the small basin was calibrated; `test_all` does the rest."""
     house = house_builder(repository, tmp_path_factory.mktemp("hall"))
     house.snakemake("--config", f"campaign={NAME}", "--", *TARGETS)
     return house
 
 
-def real_campaign(house, name: str) -> None:
+def real_campaign(house, name):
     """The twin's recordings as files of a real campaign: no twin, no truth."""
     twin = yaml.safe_load((house.root / f"config/campaigns/{NAME}.yaml").read_text())
     sheet = {
@@ -51,7 +50,7 @@ def real_campaign(house, name: str) -> None:
     )
 
 
-def test_errors_against_the_truth_are_what_the_sigmas_say(hall) -> None:
+def test_errors_against_the_truth_are_what_the_sigmas_say(hall):
     table = pd.read_csv(hall.root / TRUTH).set_index("what")
     depths = table[table.index.str.startswith("depth")]
     rest = table.drop(depths.index)
@@ -70,13 +69,13 @@ def test_errors_against_the_truth_are_what_the_sigmas_say(hall) -> None:
     assert depths["sigma"].max() < 0.2
 
 
-def test_the_interior_orientation_comes_from_the_marker_field(hall) -> None:
+def test_the_interior_orientation_comes_from_the_marker_field(hall):
     """With its whole covariance, from the pictures to the calibrated sensor."""
     base = hall.root / f"results/{NAME}/triangulation"
     lens, sensor = (read_calibration(base / name) for name in ("camera_interior.yaml", "sensor.yaml"))
     (block,) = (b.name for b in lens.blocks)
     for mine, theirs in zip(sensor.block(block), lens.block(block), strict=True):
-        np.testing.assert_allclose(mine, theirs, rtol=1e-9, atol=1e-18)
+        assert_allclose(mine, theirs, rtol=1e-9, atol=1e-18)
     table = pd.read_csv(hall.root / TRUTH).set_index("what")
     joint = table.loc["interior orientation jointly"]
     assert joint["n"] == 9
@@ -89,7 +88,7 @@ def test_the_interior_orientation_comes_from_the_marker_field(hall) -> None:
     assert report["sigma_over_constant"]["over_published"] < 0.8
 
 
-def test_panels_are_measured_beside_the_published_ones(hall) -> None:
+def test_panels_are_measured_beside_the_published_ones(hall):
     table = pd.read_csv(hall.root / f"results/{NAME}/triangulation/panels.csv")
     assert sorted(table["depth_mm"].round(1)) == sorted(PUBLISHED)
     assert table["published_std_mm"].tolist() == [0.21, 0.21, 0.34, 0.15]
@@ -98,7 +97,7 @@ def test_panels_are_measured_beside_the_published_ones(hall) -> None:
     assert (table["n"] > 400).all()
 
 
-def test_what_was_dropped_is_counted(hall) -> None:
+def test_what_was_dropped_is_counted(hall):
     base = hall.root / f"results/{NAME}/triangulation"
     report = json.loads((base / "calibration.json").read_text())
     counts = pd.read_csv(base / "calibration/line_counts.csv")
@@ -108,12 +107,12 @@ def test_what_was_dropped_is_counted(hall) -> None:
     assert report["pairs"]["used"] >= 8
 
 
-def test_a_second_call_has_nothing_to_do(hall) -> None:
+def test_a_second_call_has_nothing_to_do(hall):
     run = hall.snakemake("--dry-run", "--config", f"campaign={NAME}", "--", *TARGETS)
     assert "Nothing to be done" in run.stdout + run.stderr
 
 
-def test_the_same_recordings_as_a_real_campaign_give_the_same_numbers(hall) -> None:
+def test_the_same_recordings_as_a_real_campaign_give_the_same_numbers(hall):
     real_campaign(hall, "hall")
     hall.snakemake("--config", "campaign=hall", "--", "results/hall/triangulation/panels.csv")
     mine, theirs = (
@@ -121,8 +120,8 @@ def test_the_same_recordings_as_a_real_campaign_give_the_same_numbers(hall) -> N
     )
     assert mine.source.twin
     assert not theirs.source.twin
-    np.testing.assert_array_equal(theirs.values, mine.values)
-    np.testing.assert_array_equal(theirs.sigmas, mine.sigmas)
+    assert_array_equal(theirs.values, mine.values)
+    assert_array_equal(theirs.sigmas, mine.sigmas)
     panels = [pd.read_csv(hall.root / f"results/{n}/triangulation/panels.csv") for n in (NAME, "hall")]
     pd.testing.assert_frame_equal(panels[1], panels[0])
     assert not (hall.root / "results/hall/accuracy").exists()
@@ -131,7 +130,7 @@ def test_the_same_recordings_as_a_real_campaign_give_the_same_numbers(hall) -> N
 
 
 @pytest.mark.slow
-def test_all(hall) -> None:
+def test_all(hall):
     """Budget, scans, pictures and the page as well."""
     hall.snakemake("--config", f"campaign={NAME}")
     run = hall.snakemake("--dry-run", "--config", f"campaign={NAME}")

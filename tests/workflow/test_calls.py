@@ -2,13 +2,11 @@
 
 import inspect
 import re
-from collections.abc import Iterator
 from importlib import import_module
-from pathlib import Path
 from typing import get_type_hints
 
 
-def calls(repository: Path) -> Iterator[tuple[str, str, set[str]]]:
+def calls(repository):
     """Each rule or page, ``module:function`` that it names, and the names that it gives."""
     for path in sorted((repository / "workflow/rules").glob("*.smk")):
         text = path.read_text()
@@ -23,7 +21,7 @@ def calls(repository: Path) -> Iterator[tuple[str, str, set[str]]]:
             yield name, called[1], {*of_pages, *re.findall(r'(?m)(?:^ {12}|\{)"(\w+)":', body)}
 
 
-def test_rules_give_what_their_functions_take(repository: Path) -> None:
+def test_rules_give_what_their_functions_take(repository):
     found = list(calls(repository))
     assert len(found) > 20
     for rule, called, given in found:

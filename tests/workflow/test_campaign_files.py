@@ -24,7 +24,7 @@ from thalweg_lab.campaign_files import (
 
 
 @pytest.fixture(scope="module")
-def shipped(repository: Path) -> dict[str, CampaignFiles]:
+def shipped(repository):
     """The campaigns of the repository and those that they name."""
     folder = repository / "config/campaigns"
     chosen = load_campaigns(["tiny", "field_tiny", "basin_tiny", "demo", "tiny_change"], folder)
@@ -40,17 +40,17 @@ IDENTITY = {
 }
 
 
-def survey(**sections: object) -> CampaignFiles:
+def survey(**sections):
     """A campaign of real logs, whose files are not looked at."""
     campaign = Campaign.model_validate_json(json.dumps({"campaign": IDENTITY, **sections}))
     return CampaignFiles(name="boat", campaigns={"boat": campaign})
 
 
-def names(files: list[str]) -> list[str]:
+def names(files):
     return [name.removeprefix("results/boat/") for name in files]
 
 
-def test_logs_of_a_twin_are_those_that_the_laboratory_writes(shipped) -> None:
+def test_logs_of_a_twin_are_those_that_the_laboratory_writes(shipped):
     tiny = shipped["tiny"]
     assert tiny.is_twin()
     assert tiny.logs("lidar") == ["results/tiny/simulation/logs/lidar.pcap"]
@@ -62,7 +62,7 @@ def test_logs_of_a_twin_are_those_that_the_laboratory_writes(shipped) -> None:
     assert alone.logs("lidar") == []
 
 
-def test_logs_of_a_survey_are_those_that_its_file_names() -> None:
+def test_logs_of_a_survey_are_those_that_its_file_names():
     boat = survey(logs={"lidar": ["a.pcap"], "ins": ["a.anpp"], "gnss": {"rover": ["a.sbp"]}})
     assert not boat.is_twin()
     assert boat.logs("lidar") == ["a.pcap"]
@@ -85,7 +85,7 @@ def test_logs_of_a_survey_are_those_that_its_file_names() -> None:
         ("sbet", ["a.sbet"], [], []),
     ],
 )
-def test_the_position_source_decides_which_logs_are_read(source, ins, positions, base) -> None:
+def test_the_position_source_decides_which_logs_are_read(source, ins, positions, base):
     gnss = {"rover": ["a.sbp"], "base": ["b.sbp"]}
     logs = {
         "lidar": ["a.pcap"],
@@ -107,7 +107,7 @@ def test_the_position_source_decides_which_logs_are_read(source, ins, positions,
 
 
 @pytest.mark.parametrize("source", ["stated", "motion"])
-def test_poses_come_before_the_time_of_a_lidar_that_the_motion_tells(source: str) -> None:
+def test_poses_come_before_the_time_of_a_lidar_that_the_motion_tells(source):
     """Else the poses wait for the common time axis, and that for the lidar's time: a circle."""
     boat = survey(logs={"lidar": ["a.pcap"], "ins": ["a.anpp"]}, lidar={"clock": {"source": source}})
     tells = source == "motion"
@@ -117,7 +117,7 @@ def test_poses_come_before_the_time_of_a_lidar_that_the_motion_tells(source: str
 
 
 @pytest.mark.parametrize("lidar", [True, False])
-def test_photographs_give_the_chains_without_a_lidar_too(lidar: bool) -> None:
+def test_photographs_give_the_chains_without_a_lidar_too(lidar):
     logs = {"sbet": ["a.sbet"], "gps_week": 2157, "time_lapse": {"images": ["a.jpg"]}}
     boat = survey(
         logs=logs | ({"lidar": ["a.pcap"]} if lidar else {}), orientation={"position_source": "sbet"}
@@ -128,7 +128,7 @@ def test_photographs_give_the_chains_without_a_lidar_too(lidar: bool) -> None:
     assert names([row.file]) == [file]
 
 
-def test_full_covariances_where_something_judges_them(shipped) -> None:
+def test_full_covariances_where_something_judges_them(shipped):
     logs = {"lidar": ["a.pcap"], "ins": ["a.anpp"]}
     plain = survey(logs=logs, georeferencing={"correlations": False})
     judged = survey(logs={**logs, "reference": ["a.laz"]}, georeferencing={"correlations": False})
@@ -140,7 +140,7 @@ def test_full_covariances_where_something_judges_them(shipped) -> None:
     assert judged.section("georeferencing", "correlations") is False
 
 
-def test_parts_of_settings_leave_out_what_a_job_does_not_depend_on(shipped) -> None:
+def test_parts_of_settings_leave_out_what_a_job_does_not_depend_on(shipped):
     tiny = shipped["tiny"]
     assert set(tiny.identity("id", "seed")) == {"id", "seed"}
     assert set(tiny.mounts("lidar")) == {"lidar"}
@@ -152,7 +152,7 @@ def test_parts_of_settings_leave_out_what_a_job_does_not_depend_on(shipped) -> N
         tiny.section("images", "mappnig")
 
 
-def test_a_survey_takes_clock_lens_and_boat_of_its_calibration(shipped) -> None:
+def test_a_survey_takes_clock_lens_and_boat_of_its_calibration(shipped):
     demo = shipped["demo"]
     assert demo.calibration_campaign() == "field_small"
     assert demo.calibration_file() == ["results/field_small/calibration/boat.yaml"]
@@ -169,7 +169,7 @@ def test_a_survey_takes_clock_lens_and_boat_of_its_calibration(shipped) -> None:
     assert calibrated_boat(boat) == []
 
 
-def test_the_calibration_itself_has_the_clock_that_its_logs_allow(shipped) -> None:
+def test_the_calibration_itself_has_the_clock_that_its_logs_allow(shipped):
     field = shipped["field_tiny"]
     assert field.has_kinematic_clock()
     assert field.camera_clock() == ["results/field_tiny/timing/camera_clock.yaml"]
@@ -189,7 +189,7 @@ def test_the_calibration_itself_has_the_clock_that_its_logs_allow(shipped) -> No
     assert not any("truth" in name for name in tied.final_outputs())
 
 
-def test_the_longest_list_of_outputs_is_the_demo(shipped) -> None:
+def test_the_longest_list_of_outputs_is_the_demo(shipped):
     outputs = shipped["demo"].final_outputs()
     assert len(set(outputs)) == len(outputs)
     assert {name.split("/")[1] for name in outputs} == {"demo"}
@@ -201,7 +201,7 @@ def test_the_longest_list_of_outputs_is_the_demo(shipped) -> None:
         assert f"results/demo/{name}" in outputs
 
 
-def test_strips_are_a_chain_where_they_are_asked_for(shipped) -> None:
+def test_strips_are_a_chain_where_they_are_asked_for(shipped):
     demo, tiny = shipped["demo"], shipped["tiny"]
     assert tiny.aligned_strips() == []
     made = ["orientation/strips.html", "lidar/by_strips/points.laz", "accuracy/by_strips/statistics.csv"]
@@ -218,7 +218,7 @@ def test_strips_are_a_chain_where_they_are_asked_for(shipped) -> None:
     assert demo.windows("by_strips/", "points", ".las") == []
 
 
-def test_strips_place_what_is_placed_where_they_are_to() -> None:
+def test_strips_place_what_is_placed_where_they_are_to():
     """Bed, colours and pages take the corrected trajectory; strips themselves begin from the sensors."""
     logs = {"lidar": ["a.pcap"], "ins": ["a.anpp"]}
     for more, sensors, others in (
@@ -245,7 +245,7 @@ def test_strips_place_what_is_placed_where_they_are_to() -> None:
     assert beside.page_names() == ["by INS", "by overlapping strips"]
 
 
-def test_what_is_handed_over_is_made(shipped) -> None:
+def test_what_is_handed_over_is_made(shipped):
     """Files of the report and of the project for QGIS are outputs; some campaigns have no report."""
     for name in ("demo", "tiny_change"):
         files = shipped[name]
@@ -256,13 +256,13 @@ def test_what_is_handed_over_is_made(shipped) -> None:
     assert "results/field_small/report.pdf" not in shipped["field_small"].final_outputs()
 
 
-def test_a_survey_without_reference_and_images_has_no_pages_of_them() -> None:
+def test_a_survey_without_reference_and_images_has_no_pages_of_them():
     found = survey(logs={"lidar": ["a.pcap"], "ins": ["a.anpp"]}).final_outputs()
     assert "lidar/points.laz" in names(found)
     assert not [name for name in found if "/accuracy/" in name or "by_" in name.split("/")[-2]]
 
 
-def test_steps_of_the_camera_are_those_of_who_oriented_the_images(shipped) -> None:
+def test_steps_of_the_camera_are_those_of_who_oriented_the_images(shipped):
     own = shipped["tiny"].chain_steps()["camera"]
     assert "results/tiny/orientation/sfm/features_0.npz" in own
     logs = {
@@ -281,7 +281,7 @@ def test_steps_of_the_camera_are_those_of_who_oriented_the_images(shipped) -> No
     assert boat.of_compared_chains("statistics.csv") == []
 
 
-def test_a_rig_may_be_the_camera_that_orients_the_boat(shipped) -> None:
+def test_a_rig_may_be_the_camera_that_orients_the_boat(shipped):
     """Its files, stamps, clock and mount go the way of the camera's; colours take the poses of its block."""
     tiny = shipped["tiny"]
     assert not tiny.is_by_rig()
@@ -308,7 +308,7 @@ def test_a_rig_may_be_the_camera_that_orients_the_boat(shipped) -> None:
     assert survey(logs=logs, images={"source": "rig"}).stamped_images() == ["a.jpg"]
 
 
-def test_a_rig_is_calibrated_with_the_boat(shipped) -> None:
+def test_a_rig_is_calibrated_with_the_boat(shipped):
     """The room of the calibration campaign; its device is that of the survey."""
     demo, yard = shipped["demo"], shipped["field_small"]
     assert demo.logs("rig_field_images") == yard.logs("rig_images") == []
@@ -320,7 +320,7 @@ def test_a_rig_is_calibrated_with_the_boat(shipped) -> None:
     assert rig_device(demo)["seed"] == 21
 
 
-def test_the_page_of_a_survey_holds_the_clouds_of_all_chains(shipped) -> None:
+def test_the_page_of_a_survey_holds_the_clouds_of_all_chains(shipped):
     """The best one in colour, then the others; of a change its places."""
     tiny = shipped["tiny"]
     assert tiny.page_clouds() == [
@@ -336,7 +336,7 @@ def test_the_page_of_a_survey_holds_the_clouds_of_all_chains(shipped) -> None:
     assert change.page_path() == []
 
 
-def test_lines_on_the_grid_object_are_short_pieces_in_as_many_levels(shipped) -> None:
+def test_lines_on_the_grid_object_are_short_pieces_in_as_many_levels(shipped):
     """What the calibration changes of the campaign's lines stands in the campaign file, too."""
     basin = shipped["basin_tiny"]
     lines = basin.section("light_sheet", "lines")
@@ -349,7 +349,7 @@ def test_lines_on_the_grid_object_are_short_pieces_in_as_many_levels(shipped) ->
     assert own.sheet_lines("calibration")["least_rows"] == 9
 
 
-def test_scans_of_a_basin(shipped) -> None:
+def test_scans_of_a_basin(shipped):
     basin = shipped["basin_tiny"]
     assert basin.scan_names() == ["stepped", "wreck"]
     assert basin.sheet_series() == ["calibration", "panels", "stepped", "wreck"]
@@ -367,7 +367,7 @@ def test_scans_of_a_basin(shipped) -> None:
     assert ledger_outputs(own) == []
 
 
-def test_the_ledger_reads_what_the_basin_makes(shipped, repository: Path, tmp_path, monkeypatch) -> None:
+def test_the_ledger_reads_what_the_basin_makes(shipped, repository, tmp_path, monkeypatch):
     basin = shipped["basin_tiny"]
     assert has_ledger(basin)
     assert ledger_table(basin) == ["results/basin_tiny/triangulation/ledger.csv"]
@@ -383,7 +383,7 @@ def test_the_ledger_reads_what_the_basin_makes(shipped, repository: Path, tmp_pa
     assert set(ledger_studies(repository)) <= {study.as_posix()}
 
 
-def test_a_boat_carries_the_sensor_of_its_basin(shipped) -> None:
+def test_a_boat_carries_the_sensor_of_its_basin(shipped):
     demo = shipped["demo"]
     assert demo.sheet_on_board() == ["results/basin_small/triangulation/sensor.yaml"]
     assert demo.sheet_design() == demo.sheet_on_board()
@@ -394,7 +394,7 @@ def test_a_boat_carries_the_sensor_of_its_basin(shipped) -> None:
         sheet_basin(shipped["tiny"])
 
 
-def test_targets_are_parts_of_a_campaign(shipped) -> None:
+def test_targets_are_parts_of_a_campaign(shipped):
     demo = shipped["demo"]
     assert "results/demo/lidar/by_fused/points.laz" in demo.target("lidar")
     assert "results/demo/ingest/camera.integrity.json" in demo.target("ingest")
@@ -420,7 +420,7 @@ def test_targets_are_parts_of_a_campaign(shipped) -> None:
         (900, False, math.nan, 0),  # an Ouster
     ],
 )
-def test_a_log_is_cut_where_that_is_asked_for(seconds, on_cluster, length_s, n) -> None:
+def test_a_log_is_cut_where_that_is_asked_for(seconds, on_cluster, length_s, n):
     logs = {"lidar": ["/logs/a.pcap", "/logs/b.pcap"], "ins": ["/logs/ins.anpp"]}
     mounts = {"lidar": {"phi_deg": -90.0, "lever_ics_m": [-0.35, 0.0, -0.25]}}
     asked = []
@@ -443,7 +443,7 @@ def test_a_log_is_cut_where_that_is_asked_for(seconds, on_cluster, length_s, n) 
         assert files.window("2") == {"index": 2, "count": n, "seconds": length}
 
 
-def test_parts_of_a_shapefile_are_inputs_too(tmp_path: Path) -> None:
+def test_parts_of_a_shapefile_are_inputs_too(tmp_path):
     """A bank whose side is exchanged in the .dbf is traced again."""
     for end in ("shp", "dbf", "prj"):
         (tmp_path / f"banks.{end}").touch()

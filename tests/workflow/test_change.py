@@ -30,7 +30,7 @@ def changed(house_builder, repository, tmp_path_factory):
     return house.root / FOLDER
 
 
-def write_files(folder) -> None:
+def write_files(folder):
     """A campaign ``files``: two clouds of a slope, 10 cm apart, on a map."""
     rng = np.random.default_rng(1)
     for name, lift in (("a", 0.0), ("b", 0.1)):
@@ -50,7 +50,7 @@ def write_files(folder) -> None:
     (folder / "files.yaml").write_text(yaml.safe_dump(campaign))
 
 
-def test_sigmas_agree_with_the_truth(changed) -> None:
+def test_sigmas_agree_with_the_truth(changed):
     found = pd.read_csv(changed / "truth_1-2.csv").set_index("measure")["value"]
     # One observation: places along a bank share the errors of pose of both surveys, of which a pair has some
     # two dozen. The guard is `change_study`, of sixty pairs.
@@ -65,7 +65,7 @@ def test_sigmas_agree_with_the_truth(changed) -> None:
     assert found["largest_retreat_measured_m"] == pytest.approx(found["largest_retreat_true_m"], abs=0.2)
 
 
-def test_nothing_unseen_is_called_eroded(changed) -> None:
+def test_nothing_unseen_is_called_eroded(changed):
     table = pd.read_parquet(changed / "changes_1-2.parquet")
     seen = pd.read_parquet(changed / "visibility_1-2.parquet")
     unseen = table["distance_m"].isna().to_numpy()
@@ -77,7 +77,7 @@ def test_nothing_unseen_is_called_eroded(changed) -> None:
     assert "water" in reasons  # the second epoch was drier
 
 
-def test_four_patches_are_found_with_their_sign_and_size(changed) -> None:
+def test_four_patches_are_found_with_their_sign_and_size(changed):
     patches = pd.read_csv(changed / "patches_1-2.csv")
     large = patches[patches["area_m2"] > 15.0]
     for what, size in (("erosion", 0.2), ("erosion", 0.1), ("deposition", 0.2), ("deposition", 0.1)):
@@ -85,7 +85,7 @@ def test_four_patches_are_found_with_their_sign_and_size(changed) -> None:
         assert off.min() < 0.05, (what, size)
 
 
-def test_parts_of_sigma_add_up(changed) -> None:
+def test_parts_of_sigma_add_up(changed):
     table = pd.read_parquet(changed / "changes_1-2.parquet").dropna(subset=["distance_m"])
     parts = table[["sigma_field_m", "sigma_white_m", "sigma_registration_m"]].to_numpy()
     assert np.sqrt((parts**2).sum(axis=1)) == pytest.approx(table["sigma_m"].to_numpy())
@@ -93,14 +93,14 @@ def test_parts_of_sigma_add_up(changed) -> None:
     assert np.median(table["sigma_field_m"] / table["sigma_white_m"]) > 2.0
 
 
-def test_the_registration_says_what_the_ground_does_not_show(changed) -> None:
+def test_the_registration_says_what_the_ground_does_not_show(changed):
     facts = json.loads((changed / "registration_1-2.json").read_text())
     lost = np.array(facts["not_shown"])
     assert len(lost) == 1
     assert abs(lost[0, 0]) > 0.9  # along the bank, which runs from west to east
 
 
-def test_volumes_of_each_change_agree_with_the_truth(changed) -> None:
+def test_volumes_of_each_change_agree_with_the_truth(changed):
     table = pd.read_csv(changed / "truth_polygons_1-2.csv").set_index("name")
     patches = table[table.index.str.startswith("patch")]
     assert len(patches) == 5
@@ -118,7 +118,7 @@ def test_volumes_of_each_change_agree_with_the_truth(changed) -> None:
     assert {"unchanged", "erosion", "deposition"} <= set(places["kind"])
 
 
-def test_differences_of_heights_show_the_patches_in_the_map(changed) -> None:
+def test_differences_of_heights_show_the_patches_in_the_map(changed):
     with rasterio.open(changed / "dod_1-2.tif") as file:
         assert file.descriptions == ("difference_m", "sigma_m")
         assert file.crs.to_epsg() == 25833
@@ -133,7 +133,7 @@ def test_differences_of_heights_show_the_patches_in_the_map(changed) -> None:
     assert abs(table.loc["net", "volume_m3"]) < 4.0 * table.loc["net", "sigma_m3"]
 
 
-def test_clouds_from_elsewhere_are_compared_on_a_map(changed) -> None:
+def test_clouds_from_elsewhere_are_compared_on_a_map(changed):
     folder = changed.parents[2] / OF_FILES
     facts = json.loads((folder / "epochs/spring/errors.json").read_text())
     assert (facts["kind"], facts["points"], facts["heights"]) == ("files", 3000, "ellipsoidal")
@@ -144,7 +144,7 @@ def test_clouds_from_elsewhere_are_compared_on_a_map(changed) -> None:
     assert (folder / "epochs/epoch_2/points.npz").is_file()
 
 
-def test_the_summary_says_what_changed(changed, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_summary_says_what_changed(changed, capsys):
     assert main(["summary", str(changed.parent)]) == 0
     told = capsys.readouterr().out
     erosion = pd.read_csv(changed / "volumes_1-2.csv").set_index("what").loc["erosion"]
@@ -153,7 +153,7 @@ def test_the_summary_says_what_changed(changed, capsys: pytest.CaptureFixture[st
     assert (changed / "index.html").is_file()
 
 
-def test_drawn_errors_have_the_sigmas_of_the_distances(changed) -> None:
+def test_drawn_errors_have_the_sigmas_of_the_distances(changed):
     table = pd.read_parquet(changed / "changes_1-2.parquet")
     drawn = pd.read_parquet(changed / "draws_1-2.parquet").drop(columns="core")
     ratio = (drawn**2).mean(axis=1) / table["sigma_m"] ** 2
@@ -161,7 +161,7 @@ def test_drawn_errors_have_the_sigmas_of_the_distances(changed) -> None:
     assert (drawn.isna().all(axis=1) == table["distance_m"].isna()).all()
 
 
-def test_the_bank_line_retreats_where_the_bank_was_cut(changed) -> None:
+def test_the_bank_line_retreats_where_the_bank_was_cut(changed):
     lines = pd.read_csv(changed / "retreat_1-2.csv")
     assert set(lines["line"]) == {"bank line", "bank top"}
     moved = lines[(lines["high_m"] < -0.15)]

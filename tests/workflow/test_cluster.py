@@ -7,7 +7,6 @@ import subprocess
 import sys
 from collections.abc import Callable
 from functools import partial
-from pathlib import Path
 
 import pytest
 import yaml
@@ -21,7 +20,7 @@ Command = Callable[[str, str], None]
 
 
 @pytest.fixture
-def command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Command:
+def command(tmp_path, monkeypatch):
     """Put a command of SLURM on the path, as a text for the shell; nothing else of SLURM is there."""
     folder = tmp_path / "bin"
     folder.mkdir()
@@ -29,7 +28,7 @@ def command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Command:
         (folder / name).symlink_to(f"/bin/{name}")
     monkeypatch.setenv("PATH", str(folder))
 
-    def put(name: str, text: str) -> None:
+    def put(name, text):
         (folder / name).write_text(f"#!/bin/sh\n{text}\n")
         (folder / name).chmod(0o755)
 
@@ -46,7 +45,7 @@ PARTITIONS = (
 SINFO = "echo '" + "\n".join(PARTITIONS) + "'"
 
 
-def test_a_computer_without_slurm_is_named(command: Command) -> None:
+def test_a_computer_without_slurm_is_named(command):
     with pytest.raises(InputError, match=r"no command sbatch; expected .* Log in to a login node"):
         cluster.check_cluster(None)
 
@@ -62,9 +61,7 @@ def test_a_computer_without_slurm_is_named(command: Command) -> None:
         ("main", 1500, r"'main' ends jobs after 1440 minutes"),
     ],
 )
-def test_the_partition_is_looked_up(
-    command: Command, partition: str | None, minutes: int | None, answer: str | None
-) -> None:
+def test_the_partition_is_looked_up(command, partition, minutes, answer):
     command("sbatch", "echo slurm-wlm 22.05.8")
     command("sinfo", SINFO)
     if answer is None:
@@ -74,7 +71,7 @@ def test_the_partition_is_looked_up(
         cluster.check_cluster(partition, minutes=minutes)
 
 
-def test_a_job_that_would_wait_for_ever_is_refused(command: Command) -> None:
+def test_a_job_that_would_wait_for_ever_is_refused(command):
     command("sbatch", "echo slurm-wlm 22.05.8")
     command("sinfo", SINFO)
     cluster.check_cluster("quick", cpus=2)
@@ -91,7 +88,7 @@ def test_a_job_that_would_wait_for_ever_is_refused(command: Command) -> None:
         ("error: something new", "Ask the operators of the cluster with these words"),
     ],
 )
-def test_a_slurm_that_refuses_is_quoted_with_a_cure(command: Command, said: str, cure: str) -> None:
+def test_a_slurm_that_refuses_is_quoted_with_a_cure(command, said, cure):
     command("sbatch", f"echo '{said}' >&2; exit 1")
     with pytest.raises(InputError) as error:
         cluster.check_cluster("main")
@@ -110,15 +107,7 @@ def test_a_slurm_that_refuses_is_quoted_with_a_cure(command: Command, said: str,
     ],
     ids=["well", "no shared folder", "clocks apart", "mixed versions", "no environment"],
 )
-def test_nodes_are_asked(
-    command: Command,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-    answer: str,
-    verdict: str,
-    code: int,
-) -> None:
+def test_nodes_are_asked(command, tmp_path, capsys, monkeypatch, answer, verdict, code):
     own = subprocess.run([sys.executable, "-c", cluster._CODE], capture_output=True, text=True, check=True)
     command("sbatch", "echo slurm-wlm 22.05.8")
     command("sinfo", f'case "$*" in *Node*) echo node1;; *) {SINFO};; esac')
@@ -138,7 +127,7 @@ error: job 7 was cancelled due to time limit
 """
 
 
-def test_a_limit_that_is_met_when_a_job_is_sent_has_its_cure() -> None:
+def test_a_limit_that_is_met_when_a_job_is_sent_has_its_cure():
     (lower, account) = cluster.cures_in(LIMIT)
     assert "lower `jobs` in profiles/slurm" in lower
     assert "slurm_account" in account
@@ -158,9 +147,7 @@ def test_a_limit_that_is_met_when_a_job_is_sent_has_its_cure() -> None:
         "two drivers",
     ],
 )
-def test_each_bad_state_says_found_expected_where_and_cure(
-    command: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, state: str
-) -> None:
+def test_each_bad_state_says_found_expected_where_and_cure(command, tmp_path, monkeypatch, state):
     if state != "no sbatch":
         command("sbatch", "echo slurm-wlm 22.05.8")
     command("sinfo", SINFO)
@@ -185,7 +172,7 @@ def test_each_bad_state_says_found_expected_where_and_cure(
     assert all(str(part) in str(told) for part in (told.found, told.expected, told.where, told.cure))
 
 
-def test_results_of_another_version_are_counted(tmp_path: Path) -> None:
+def test_results_of_another_version_are_counted(tmp_path):
     for name, version in (("a", "0.0.9"), ("b", "0.0.9"), ("c", thalweg.__version__)):
         (tmp_path / f"{name}.csv.meta.json").write_text(json.dumps({"thalweg": version}))
     (tmp_path / "d.csv.meta.json").write_text("no json")
@@ -193,9 +180,7 @@ def test_results_of_another_version_are_counted(tmp_path: Path) -> None:
     assert other_versions(outputs) == {"0.0.9": 2}
 
 
-def test_jobs_without_driver_are_found_and_cancelled(
-    command: Command, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_jobs_without_driver_are_found_and_cancelled(command, tmp_path, capsys):
     here = tmp_path / "run"
     half, others = here / "results/tiny/.part-0a/half.laz", tmp_path / "other"
     half.parent.mkdir(parents=True)
@@ -223,7 +208,7 @@ def test_jobs_without_driver_are_found_and_cancelled(
     assert not half.parent.exists()
 
 
-def test_jobs_of_a_living_driver_are_left_alone(command: Command, tmp_path: Path) -> None:
+def test_jobs_of_a_living_driver_are_left_alone(command, tmp_path):
     command("squeue", "true")
     driver = cluster.start_driver(tmp_path)
     try:
@@ -237,7 +222,7 @@ def test_jobs_of_a_living_driver_are_left_alone(command: Command, tmp_path: Path
     cluster.start_driver(tmp_path).close()
 
 
-def test_both_profiles_ask_for_the_same(repository: Path) -> None:
+def test_both_profiles_ask_for_the_same(repository):
     """All but how the end of a job is learnt, and how many may be sent."""
     read = [
         yaml.safe_load((repository / "profiles" / name / "profile.yaml").read_text())
@@ -249,7 +234,7 @@ def test_both_profiles_ask_for_the_same(repository: Path) -> None:
     assert [each["slurm-status-command"] for each in read] == ["squeue", "sacct"]
 
 
-def test_tests_that_the_manual_names_exist(repository: Path) -> None:
+def test_tests_that_the_manual_names_exist(repository):
     named = set(re.findall(r"`(test_\w+)`", (repository / "docs/howto/cluster.md").read_text()))
     text = "".join(path.read_text() for path in (repository / "tests").rglob("test_*.py"))
     assert len(named) > 25

@@ -1,7 +1,5 @@
 """The code version of a rule follows the modules that its script reaches, and nothing else."""
 
-from pathlib import Path
-
 import pytest
 
 from thalweg.core import InputError
@@ -22,7 +20,7 @@ FILES = {
 }
 
 
-def versions(root: Path) -> dict[str, str]:
+def versions(root):
     for cached in vars(codehash).values():
         if hasattr(cached, "cache_clear"):
             cached.cache_clear()
@@ -33,7 +31,7 @@ def versions(root: Path) -> dict[str, str]:
 
 
 @pytest.fixture(autouse=True)
-def own_cache(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> Path:
+def own_cache(tmp_path_factory, monkeypatch):
     """Facts of these files stay out of the user's cache."""
     place = tmp_path_factory.mktemp("cache")
     monkeypatch.setenv("XDG_CACHE_HOME", str(place))
@@ -41,28 +39,34 @@ def own_cache(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.Monk
     return place
 
 
+def changed(before, after):
+    return [name for name in before if before[name] != after[name]]
+
+
 @pytest.fixture
-def house(tmp_path: Path) -> Path:
+def house(tmp_path):
     for name, text in FILES.items():
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text(text)
     return tmp_path
 
 
-def test_an_edit_reaches_exactly_its_users(house: Path) -> None:
+def test_an_edit_reaches_exactly_its_users(house):
     before = versions(house)
     (house / "pkg/core/a.py").write_text("def f():\n    return 2\n")
     after = versions(house)
-    assert [name for name in before if before[name] != after[name]] == ["direct", "lazy"]
+    assert changed(before, after) == ["direct", "lazy"]
     (house / "pkg/figures/c.py").write_text("x = 2\n")
     last = versions(house)
-    assert [name for name in after if after[name] != last[name]] == ["picture"]
+    assert changed(after, last) == ["picture"]
+    (house / "pkg/figures/look.mplstyle").write_text("font.size: 8\n")
+    assert changed(last, versions(house)) == ["picture"]
 
 
-def test_what_a_script_calls_by_name_counts(house: Path) -> None:
+def test_what_a_script_calls_by_name_counts(house):
     """The script of all pictures imports none of their modules: each picture follows its own."""
 
-    def drawn() -> dict[str, str]:
+    def drawn():
         versions(house)
         called = ("pkg.lidar.b:f", "pkg.lidar.lazy:g", "pkg.figures.c:draw")
         return {
@@ -75,27 +79,20 @@ def test_what_a_script_calls_by_name_counts(house: Path) -> None:
     assert len(set(before.values())) == 3
     (house / "pkg/figures/c.py").write_text("x = 2\n")
     after = drawn()
-    assert [name for name in before if before[name] != after[name]] == ["pkg.figures.c:draw"]
+    assert changed(before, after) == ["pkg.figures.c:draw"]
     (house / "pkg/core/a.py").write_text("def f():\n    return 2\n")
     last = drawn()
-    assert [name for name in after if after[name] != last[name]] == ["pkg.lidar.b:f", "pkg.lidar.lazy:g"]
+    assert changed(after, last) == ["pkg.lidar.b:f", "pkg.lidar.lazy:g"]
     (house / "pkg/figures/look.mplstyle").write_text("font.size: 8\n")
     assert [name for name in last if drawn()[name] != last[name]] == ["pkg.figures.c:draw"]
 
 
-def test_an_unknown_module_is_named(house: Path) -> None:
+def test_an_unknown_module_is_named(house):
     with pytest.raises(InputError, match=r"no module pkg\.figures\.nothing"):
         codehash.code_version("picture", "pkg.figures.nothing:f", scripts=house / "scripts", source=house)
 
 
-def test_a_style_file_counts_as_code(house: Path) -> None:
-    before = versions(house)
-    (house / "pkg/figures/look.mplstyle").write_text("font.size: 8\n")
-    after = versions(house)
-    assert [name for name in before if before[name] != after[name]] == ["picture"]
-
-
-def test_a_name_from_a_front_door_counts_as_its_module(house: Path) -> None:
+def test_a_name_from_a_front_door_counts_as_its_module(house):
     (house / "pkg/core/__init__.pyi").write_text("from .a import f as f\nfrom .d import h as h\n")
     (house / "pkg/core/d.py").write_text("def h():\n    return 1\n")
     (house / "pkg/lidar/b.py").write_text("from pkg.core import f\n")
@@ -105,23 +102,21 @@ def test_a_name_from_a_front_door_counts_as_its_module(house: Path) -> None:
     assert versions(house) == before
     (house / "pkg/core/a.py").write_text("def f():\n    return 2\n")
     after = versions(house)
-    assert [name for name in before if before[name] != after[name]] == ["direct", "lazy"]
+    assert changed(before, after) == ["direct", "lazy"]
 
 
-def test_words_cost_no_rerun(house: Path) -> None:
+def test_words_cost_no_rerun(house):
     before = versions(house)
     (house / "pkg/core/a.py").write_text('# why\ndef f():\n    """New words."""\n    return 1\n')
     assert versions(house) == before
 
 
-def test_an_unknown_script_is_named() -> None:
+def test_an_unknown_script_is_named():
     with pytest.raises(InputError, match=r"no_such_rule\.py: entry script not found"):
         codehash.code_version("no_such_rule")
 
 
-def test_what_was_parsed_once_is_read_from_the_cache(
-    house: Path, own_cache: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_was_parsed_once_is_read_from_the_cache(house, own_cache, monkeypatch):
     first = versions(house)
     codehash._keep()
     (kept,) = (own_cache / "thalweg").iterdir()
@@ -137,7 +132,7 @@ def test_what_was_parsed_once_is_read_from_the_cache(
     assert versions(house) == first
 
 
-def test_a_cache_that_cannot_be_written_does_no_harm(house: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_cache_that_cannot_be_written_does_no_harm(house, monkeypatch):
     (house / "file").write_text("")
     monkeypatch.setenv("XDG_CACHE_HOME", str(house / "file"))
     assert versions(house)
@@ -158,7 +153,7 @@ def test_a_cache_that_cannot_be_written_does_no_harm(house: Path, monkeypatch: p
         ("def _f(x: int) -> int:\n    y: int = 2\n    return y\n\nN: int = 3\n", False),
     ],
 )
-def test_words_and_types_do_not_run(house: Path, text: str, same: bool) -> None:
+def test_words_and_types_do_not_run(house, text, same):
     module = house / "pkg/figures/c.py"
     module.write_text("def _f(x: str) -> str:\n    y = 1\n    return y\n\nN = 3\n")
     before = versions(house)["picture"]
@@ -174,7 +169,7 @@ def test_words_and_types_do_not_run(house: Path, text: str, same: bool) -> None:
     ],
     ids=["a field of a document", "a parameter of a job"],
 )
-def test_types_that_convert_values_count(house: Path, before: str, after: str) -> None:
+def test_types_that_convert_values_count(house, before, after):
     module = house / "pkg/figures/c.py"
     module.write_text(before)
     old = versions(house)["picture"]
@@ -182,7 +177,7 @@ def test_types_that_convert_values_count(house: Path, before: str, after: str) -
     assert versions(house)["picture"] != old
 
 
-def test_imports_for_types_reach_nothing(house: Path) -> None:
+def test_imports_for_types_reach_nothing(house):
     head = "from typing import TYPE_CHECKING\n\n"
     module = house / "pkg/figures/c.py"
     module.write_text(head)

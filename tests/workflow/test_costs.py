@@ -2,7 +2,6 @@
 
 import json
 import re
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -16,16 +15,7 @@ from thalweg.workflow import Measured, fitted, per_rule, predicted, read_costs
 from thalweg.workflow.costs import BESIDE_MB, FLOOR_MB
 
 
-def result(
-    folder: Path,
-    rule: str,
-    number: int,
-    *,
-    memory_mb: float,
-    asked_mb: float,
-    input_mb: float = 10.0,
-    wall_s: float = 6.0,
-) -> None:
+def result(folder, rule, number, *, memory_mb, asked_mb, input_mb=10.0, wall_s=6.0):
     """Provenance of a job with two outputs."""
     meta = {
         "rule": rule,
@@ -48,7 +38,7 @@ def result(
         (folder / rule / f"{number}_{name}.meta.json").write_text(json.dumps(meta))
 
 
-def test_each_job_counts_once_and_each_rule_is_judged(tmp_path: Path) -> None:
+def test_each_job_counts_once_and_each_rule_is_judged(tmp_path):
     for k in range(3):
         result(tmp_path / "tiny", "fits", k, memory_mb=900, asked_mb=2000)
         result(tmp_path / "tiny", "wastes", k, memory_mb=100, asked_mb=4000)
@@ -66,7 +56,7 @@ def test_each_job_counts_once_and_each_rule_is_judged(tmp_path: Path) -> None:
     }
 
 
-def test_a_job_whose_memory_doubled_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_job_whose_memory_doubled_is_told(tmp_path, capsys):
     result(tmp_path / "tiny", "georeference", 1, memory_mb=900, asked_mb=2000)
     assert main(["costs", str(tmp_path)]) == 0
     assert "georeference" not in capsys.readouterr().out
@@ -77,7 +67,7 @@ def test_a_job_whose_memory_doubled_is_told(tmp_path: Path, capsys: pytest.Captu
     assert table.loc[0, "used_memory"] == pytest.approx(1.2)
 
 
-def test_what_is_written_is_what_rules_ask_for(tmp_path: Path) -> None:
+def test_what_is_written_is_what_rules_ask_for(tmp_path):
     for k, size in enumerate((10.0, 20.0, 40.0, 80.0)):
         result(
             tmp_path / "tiny", "grows", k, memory_mb=600 + 5 * size, asked_mb=9000, input_mb=size, wall_s=size
@@ -86,7 +76,7 @@ def test_what_is_written_is_what_rules_ask_for(tmp_path: Path) -> None:
     assert main(["costs", str(tmp_path), "--write", str(file)]) == 0
     measured = Measured.read(file)
 
-    def of(megabytes: float) -> list[str]:
+    def of(megabytes):
         """Inputs of a size, in a file and in a folder, and one that is not made yet."""
         folder = tmp_path / "inputs" / str(megabytes)
         (folder / "images").mkdir(parents=True, exist_ok=True)
@@ -110,7 +100,7 @@ def test_what_is_written_is_what_rules_ask_for(tmp_path: Path) -> None:
     assert measured.minutes_of_job(10)(**job) == 20
 
 
-def test_one_more_job_stays_below_its_request_as_often_as_promised() -> None:
+def test_one_more_job_stays_below_its_request_as_often_as_promised():
     """Of 600 rules with 12 jobs each, the 13th: 95 % and a bit, as the largest job counts as well."""
     rng = default_rng(5)
     below, excess = [], []
@@ -128,27 +118,27 @@ def test_one_more_job_stays_below_its_request_as_often_as_promised() -> None:
     assert np.median(excess) < 1.2
 
 
-def test_a_rule_with_one_job_gets_half_as_much_again() -> None:
+def test_a_rule_with_one_job_gets_half_as_much_again():
     jobs = pd.DataFrame({"rule": ["r"], "input_mb": [10.0], "memory_mb": [1000.0], "wall_s": [60.0]})
     assert fitted(jobs) == {"r": {"memory_mb": [1500.0, 0.0], "minutes": [4.5, 0.0], "input_mb": 10.0}}
 
 
 @pytest.mark.parametrize("text", ["r: 5", "r: {memory_mb: [1], minutes: [1, 2], input_mb: 3}", "r: [", "- 1",
                                   "r: {memory_mb: [1, -1], minutes: [1, 2], input_mb: 3}"])  # fmt: skip
-def test_a_damaged_file_is_named_with_its_cure(tmp_path: Path, text: str) -> None:
+def test_a_damaged_file_is_named_with_its_cure(tmp_path, text):
     file = tmp_path / "resources.yaml"
     file.write_text(text)
     with pytest.raises(InputError, match=r"resources\.yaml: no measured resources .*--write"):
         Measured.read(file)
 
 
-def test_results_without_costs_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_results_without_costs_are_named(tmp_path, capsys):
     (tmp_path / "old.csv.meta.json").write_text('{"rule": "r"}')
     assert main(["costs", str(tmp_path)]) == 2
     assert "no job left its costs" in capsys.readouterr().err
 
 
-def test_rules_in_the_file_exist(repository: Path) -> None:
+def test_rules_in_the_file_exist(repository):
     """Requests of rules that were renamed would be forgotten in silence."""
     file = repository / "config/resources.yaml"
     if not file.exists():
@@ -163,7 +153,7 @@ def test_rules_in_the_file_exist(repository: Path) -> None:
     assert set(Measured.read(file).rules) <= rules
 
 
-def test_a_larger_survey_follows_the_lines_that_were_measured() -> None:
+def test_a_larger_survey_follows_the_lines_that_were_measured():
     """By hand: 30 times 8 MB; a rule whose inputs never differed is proportional beyond the libraries."""
     grows = [
         ("grows", c, size, 2 + 0.5 * size, 700 + 3 * size, 1 + 0.1 * size)
@@ -199,7 +189,7 @@ def test_a_larger_survey_follows_the_lines_that_were_measured() -> None:
         predicted(jobs, "c", 2.0)
 
 
-def test_what_a_larger_survey_takes_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_a_larger_survey_takes_is_told(tmp_path, capsys):
     result(tmp_path / "small", "reads", 0, memory_mb=100, asked_mb=2000)
     result(tmp_path / "river", "reads", 1, memory_mb=100, asked_mb=2000, input_mb=15, wall_s=360)
     assert main(["costs", str(tmp_path), "--predict", "10"]) == 0

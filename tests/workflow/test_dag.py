@@ -4,7 +4,6 @@ import os
 import re
 import resource
 import shutil
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import reduce
 
@@ -42,7 +41,7 @@ class Job:
     outputs: tuple[str, ...]
 
 
-def jobs(house, campaign: str, *targets: str) -> list[Job]:
+def jobs(house, campaign, *targets):
     """All jobs of a campaign (or of several, ``[a,b]``) with their files, as a dry run shows them."""
     options = ("--dry-run", "--quiet", "host", "--forceall", "--config", f"campaign={campaign}", "--")
     run = house.snakemake(*options, *targets)
@@ -65,7 +64,7 @@ EDITED = {
 
 
 @pytest.fixture(scope="module")
-def of_campaigns(empty_house) -> dict[str, list[Job]]:
+def of_campaigns(empty_house):
     """Jobs of each campaign, from one dry run of all."""
     folder = empty_house.root / "config/campaigns"
     for name, (other, pattern, by) in EDITED.items():
@@ -84,7 +83,7 @@ def of_campaigns(empty_house) -> dict[str, list[Job]]:
 
 
 @pytest.mark.parametrize("campaign", MAY_READ_TRUTH)
-def test_no_processing_rule_reads_the_truth(of_campaigns, campaign: str) -> None:
+def test_no_processing_rule_reads_the_truth(of_campaigns, campaign):
     found = of_campaigns[campaign]
     assert len(found) > 20
     readers = {job.rule for job in found if any("/truth/" in name for name in job.inputs)}
@@ -108,7 +107,7 @@ def test_no_processing_rule_reads_the_truth(of_campaigns, campaign: str) -> None
             assert job.rule.startswith("simulate_")
 
 
-def test_pairs_of_images_are_dealt_out_to_as_many_jobs_as_the_campaign_says(of_campaigns) -> None:
+def test_pairs_of_images_are_dealt_out_to_as_many_jobs_as_the_campaign_says(of_campaigns):
     found = of_campaigns["parted"]
     parts = sorted(name for job in found if job.rule == "match_features" for name in job.outputs)
     assert [name.rsplit("/", 1)[-1] for name in parts] == [f"pairs_{k}.npz" for k in range(3)]
@@ -118,7 +117,7 @@ def test_pairs_of_images_are_dealt_out_to_as_many_jobs_as_the_campaign_says(of_c
     assert mapping.inputs == join.outputs
 
 
-def test_files_of_a_rig_may_be_the_images_that_orient_the_boat(of_campaigns) -> None:
+def test_files_of_a_rig_may_be_the_images_that_orient_the_boat(of_campaigns):
     """Its block feeds the trajectories; its panoramas and the colours take the poses by all sensors."""
     found = of_campaigns["rigged"]
     by_rule = {job.rule: job for job in found}
@@ -146,7 +145,7 @@ def test_files_of_a_rig_may_be_the_images_that_orient_the_boat(of_campaigns) -> 
 
 
 @pytest.mark.parametrize("images", [True, False])
-def test_the_strip_of_the_bed_takes_the_best_trajectory(of_campaigns, images: bool) -> None:
+def test_the_strip_of_the_bed_takes_the_best_trajectory(of_campaigns, images):
     """INS alone leads the strip centimetres away from the bed; fused where the survey has images."""
     found = of_campaigns["full" if images else "without_images"]
     (job,) = (job for job in found if job.rule == "locate_bed_strip")
@@ -158,12 +157,12 @@ TARGETS = ("ingest", "lidar", "images", "accuracy", "figures")
 
 
 @pytest.fixture(scope="module")
-def of_targets(empty_house) -> list[Job]:
+def of_targets(empty_house):
     """Jobs of all targets of the tiny campaign, and of the ledger."""
     return jobs(empty_house, "tiny", *TARGETS, "reproduce")
 
 
-def behind(found: list[Job], wanted: Callable[[Job], bool]) -> list[Job]:
+def behind(found, wanted):
     """The wanted jobs and all whose outputs they need."""
     makers = {name: job for job in found for name in job.outputs}
     seen, queue = list[Job](), [job for job in found if wanted(job)]
@@ -185,7 +184,7 @@ def behind(found: list[Job], wanted: Callable[[Job], bool]) -> list[Job]:
         ("figures", "plot_cloud_overview", "summarise"),
     ],
 )
-def test_a_target_builds_what_its_name_says(of_targets, target: str, last: str, absent: str) -> None:
+def test_a_target_builds_what_its_name_says(of_targets, target, last, absent):
     found = behind(of_targets, lambda job: job.rule == target)
     rules = {job.rule for job in found}
     assert {target, last} <= rules
@@ -198,9 +197,9 @@ def test_a_target_builds_what_its_name_says(of_targets, target: str, last: str, 
 SHARED_SCRIPTS = {"call", "detect_markers", "simulate_field_images"}
 
 
-def test_every_rule_has_its_script_log_and_code_version(repository) -> None:
+def test_every_rule_has_its_script_log_and_code_version(repository):
     scripts = {p.stem for p in (repository / "workflow/scripts").glob("*.py")}
-    used: set[str] = set()
+    used = set()
     for path in sorted((repository / "workflow/rules").glob("*.smk")):
         for text in re.split(r"(?m)^ *rule\b", path.read_text())[1:]:
             script = re.search(r'"\.\./scripts/(\w+)\.py"', text)[1]
@@ -216,7 +215,7 @@ def test_every_rule_has_its_script_log_and_code_version(repository) -> None:
     assert used == scripts
 
 
-def test_published_numbers_need_no_survey(of_targets) -> None:
+def test_published_numbers_need_no_survey(of_targets):
     """What was made counts, and nothing is made for the ledger's sake but the tables of budgets."""
     found = {job.rule: job for job in behind(of_targets, lambda job: job.rule == "reproduce")}
     assert set(found) == {"budget_tables", "ledger", "plot_error_budget", "reproduce"}
@@ -228,7 +227,7 @@ def test_published_numbers_need_no_survey(of_targets) -> None:
     assert "results/reproduction/budgets/p2_table1.csv" in read
 
 
-def test_a_wrong_campaign_stops_before_the_first_job(empty_house) -> None:
+def test_a_wrong_campaign_stops_before_the_first_job(empty_house):
     campaign = empty_house.root / "config/campaigns/wrong.yaml"
     campaign.write_text(
         "campaign: {id: wrong, title: x, crs: EPSG:4326, origin: {lat_deg: 51, lon_deg: 13, h_ell_m: 300}}\n"
@@ -243,7 +242,7 @@ def test_a_wrong_campaign_stops_before_the_first_job(empty_house) -> None:
     assert "Traceback" not in text
 
 
-def test_a_calibration_that_two_campaigns_name_is_made_once(empty_house) -> None:
+def test_a_calibration_that_two_campaigns_name_is_made_once(empty_house):
     folder = empty_house.root / "season"
     folder.mkdir()
     head = "crs: EPSG:25833, origin: {lat_deg: 51.05, lon_deg: 13.25, h_ell_m: 300.0}"
@@ -259,7 +258,7 @@ def test_a_calibration_that_two_campaigns_name_is_made_once(empty_house) -> None
     assert found.count("georeference_lidar") == 2
 
 
-def test_a_season_of_ten_is_planned_in_seconds(empty_house) -> None:
+def test_a_season_of_ten_is_planned_in_seconds(empty_house):
     folder, own = empty_house.root / "season", empty_house.root / "config/campaigns/tiny.yaml"
     folder.mkdir()
     for k in range(10):
@@ -274,7 +273,7 @@ def test_a_season_of_ten_is_planned_in_seconds(empty_house) -> None:
     assert after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime < 12
 
 
-def sentences(second: int) -> str:
+def sentences(second):
     """NMEA of one second of a boat that goes north: position and depth."""
     bodies = [
         f"GPGGA,1200{second:02}.00,5104.{1000 + second},N,01315.0000,E,4,12,0.8,300.0,M,0.0,M,1,0",
@@ -285,7 +284,7 @@ def sentences(second: int) -> str:
     return "".join(f"${body}*{total:02X}\r\n" for body, total in zip(bodies, sums, strict=True))
 
 
-def test_a_campaign_that_fails_does_not_stop_the_others(empty_house) -> None:
+def test_a_campaign_that_fails_does_not_stop_the_others(empty_house):
     folder = empty_house.root / "season"
     folder.mkdir()
     for name in ("may", "june", "july"):
@@ -324,7 +323,7 @@ def test_a_campaign_that_fails_does_not_stop_the_others(empty_house) -> None:
     ]
 
 
-def test_an_unknown_campaign_is_answered_with_the_known_ones(empty_house) -> None:
+def test_an_unknown_campaign_is_answered_with_the_known_ones(empty_house):
     run = empty_house.snakemake("--quiet", "all", "--config", "campaign=tinny", check=False)
     text = run.stderr
     assert run.returncode != 0
@@ -334,7 +333,7 @@ def test_an_unknown_campaign_is_answered_with_the_known_ones(empty_house) -> Non
 
 
 @pytest.mark.parametrize("campaign", ["tiny", "[full,tiny_change]"])
-def test_on_a_cluster_short_jobs_go_together(empty_house, campaign: str) -> None:
+def test_on_a_cluster_short_jobs_go_together(empty_house, campaign):
     """No group waits for a job that waits for it, which Snakemake checks; a third of the starts remains."""
     run = empty_house.snakemake(
         *("--dry-run", "--quiet", "host", "--profile", "profiles/slurm", "--forceall"),
@@ -359,7 +358,7 @@ esac
 """Answers as conda does to what Snakemake asks before it makes an environment."""
 
 
-def test_jobs_run_in_the_conda_environment(empty_house, tmp_path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_jobs_run_in_the_conda_environment(empty_house, tmp_path, monkeypatch):
     (tmp_path / "conda").write_text(CONDA)
     (tmp_path / "conda").chmod(0o755)
     monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")

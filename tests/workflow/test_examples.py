@@ -9,6 +9,7 @@ import laspy
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.testing import assert_allclose
 
 from thalweg.cli import main
 from thalweg.core import gps_from_unix, unix_from_gps
@@ -39,7 +40,7 @@ def examples(repository, tmp_path_factory, house_builder, data_dir):
     return house
 
 
-def test_each_file_is_checked_and_says_what_it_gives(examples, capsys) -> None:
+def test_each_file_is_checked_and_says_what_it_gives(examples, capsys):
     files = sorted((examples.root / EXAMPLES).glob("*.yaml"))
     files = [file for file in files if file.stem != "sbet_photographs"]  # logs of the twin, in test_tiny
     assert len(files) == len(WHOLE) + len(CLOUDS) + 1
@@ -49,7 +50,7 @@ def test_each_file_is_checked_and_says_what_it_gives(examples, capsys) -> None:
 
 
 @pytest.mark.parametrize("name", WHOLE)
-def test_the_front_page_links_what_was_made(examples, name: str) -> None:
+def test_the_front_page_links_what_was_made(examples, name):
     folder = examples.root / "results" / name
     text = (folder / "index.html").read_text()
     pictures = list((folder / "figures").glob("*.png"))
@@ -61,7 +62,7 @@ def test_the_front_page_links_what_was_made(examples, name: str) -> None:
     assert len(text) < 1_500_000
 
 
-def test_photographs_by_control_points(examples, record_property) -> None:
+def test_photographs_by_control_points(examples, record_property):
     folder = examples.root / "results/photographs/photographs"
     facts = json.loads((folder / "orientation.json").read_text())
     assert facts["images"] == 5
@@ -77,7 +78,7 @@ def test_photographs_by_control_points(examples, record_property) -> None:
     assert "RMSE of 2 check points" in page
 
 
-def test_photographs_by_positions_lie_where_dbat_has_them(examples) -> None:
+def test_photographs_by_positions_lie_where_dbat_has_them(examples):
     """The positions are DBAT's own projection centres with its standard deviations of 0.06 to 0.9 m."""
     own = pd.read_csv(examples.root / "results/photograph_positions/photographs/image_poses.csv")
     given = pd.read_csv(examples.root / EXAMPLES / "data/strasbourg/orientations.csv")
@@ -92,7 +93,7 @@ def test_photographs_by_positions_lie_where_dbat_has_them(examples) -> None:
     assert facts["antenna_positions"] == {"source": "positions of the camera", "used": 5, "given": 5}
 
 
-def test_finished_orientations_are_judged_by_surveyed_points(examples, record_property) -> None:
+def test_finished_orientations_are_judged_by_surveyed_points(examples, record_property):
     """DBAT's own report: check points B4.6 and B3.11 differ by 0.136, 0.209, 0.339 m (root mean square)."""
     folder = examples.root / "results/finished_photographs/photographs"
     points = pd.read_csv(folder / "finished_points.csv").set_index("point")
@@ -101,16 +102,16 @@ def test_finished_orientations_are_judged_by_surveyed_points(examples, record_pr
     for axis, value in zip(("east", "north", "up"), rms, strict=True):
         record_property(f"{axis}_mm", value)
     # points intersected from its poses alone; in DBAT's adjustment their marks took part: measured 9, 5, 25 %
-    np.testing.assert_allclose(rms, [136, 209, 339], rtol=0.35)
+    assert_allclose(rms, [136, 209, 339], rtol=0.35)
     assert (points["images"] >= 1).all()
     assert points.loc["B3.09", "reason"] == "a check point needs two images, it has 1"
     poses = pd.read_csv(folder / "finished.csv")
     given = pd.read_csv(examples.root / EXAMPLES / "data/strasbourg/orientations.csv")
-    np.testing.assert_allclose(poses[["x_m", "y_m", "z_m"]], given[["x", "y", "z"]], atol=2e-3)
-    np.testing.assert_allclose(poses["sigma_x_m"], given["sigma_x"], rtol=1e-6)
+    assert_allclose(poses[["x_m", "y_m", "z_m"]], given[["x", "y", "z"]], atol=2e-3)
+    assert_allclose(poses["sigma_x_m"], given["sigma_x"], rtol=1e-6)
 
 
-def test_a_fixed_camera_has_the_published_place(examples, record_property) -> None:
+def test_a_fixed_camera_has_the_published_place(examples, record_property):
     """ICEpy4D: 151.65, 99.26, 91.48 m, 0.64 px; three pictures with three marks are refused."""
     poses = pd.read_csv(examples.root / "results/fixed_camera/orientation/fixed_camera.csv")
     row = poses.iloc[0]
@@ -123,7 +124,7 @@ def test_a_fixed_camera_has_the_published_place(examples, record_property) -> No
     assert "pictures with a pose</td><td>1 of 4</td><td>3 refused" in page
 
 
-def test_two_planes_are_ten_centimetres_apart(examples, record_property) -> None:
+def test_two_planes_are_ten_centimetres_apart(examples, record_property):
     """py4dgeo's M3C2 at nine core points: mean -0.100323 m; here cloud to mesh at 400 points."""
     facts = json.loads((examples.root / "results/cloud/accuracy/cloud.json").read_text())
     assert facts["without_outliers"]["bias_m"] == pytest.approx(-0.1003, abs=0.0006)
@@ -138,7 +139,7 @@ def test_two_planes_are_ten_centimetres_apart(examples, record_property) -> None
     assert moved["f"] > 100 * moved["f_exceeded_in_5_percent"]
 
 
-def test_raw_gnss_gives_a_trajectory(examples) -> None:
+def test_raw_gnss_gives_a_trajectory(examples):
     folder = examples.root / "results/gnss"
     facts = json.loads((folder / "ingest/positions.integrity.json").read_text())
     assert facts["counts"]["positions"] == 400
@@ -151,7 +152,7 @@ def test_raw_gnss_gives_a_trajectory(examples) -> None:
 
 
 @pytest.mark.parametrize(("name", "decoded"), [("lidar", 73_486), ("lidar_without_pps", 700_400)])
-def test_lidar_points_have_standard_deviations(examples, name: str, decoded: int) -> None:
+def test_lidar_points_have_standard_deviations(examples, name, decoded):
     """Points decoded as by velodyne-decoder and by VeloView."""
     folder = examples.root / "results" / name / "lidar"
     counts = pd.read_csv(folder / "counts.csv").set_index("reason")["n"]
@@ -162,7 +163,7 @@ def test_lidar_points_have_standard_deviations(examples, name: str, decoded: int
         assert "sigma_up" in stream.header.point_format.extra_dimension_names
 
 
-def test_a_table_of_poses_carries_a_lidar(examples, capsys) -> None:
+def test_a_table_of_poses_carries_a_lidar(examples, capsys):
     """The same capture beside a TUM table instead of the SBET, as robots write it."""
     root, data = examples.root, examples.root / EXAMPLES / "data/lidar"
     t = gps_from_unix(1_453_364_282.0) + np.arange(-4.0, 6.0, 0.05)
@@ -199,7 +200,7 @@ def test_a_table_of_poses_carries_a_lidar(examples, capsys) -> None:
         ("piksi", "survey", "trajectory of the boat"),
     ],
 )
-def test_a_folder_of_files_becomes_a_campaign(examples, tmp_path, capsys, folder, kind, gives) -> None:
+def test_a_folder_of_files_becomes_a_campaign(examples, tmp_path, capsys, folder, kind, gives):
     """As a new user begins: recognised, written, checked."""
     logs = tmp_path / folder
     others = shutil.ignore_patterns("orientations.csv", "positions.csv")
@@ -235,7 +236,7 @@ def test_a_folder_of_files_becomes_a_campaign(examples, tmp_path, capsys, folder
         ),
     ],
 )
-def test_check_config_says_what_the_first_jobs_refuse(examples, capsys, name, old, new, words) -> None:
+def test_check_config_says_what_the_first_jobs_refuse(examples, capsys, name, old, new, words):
     path = examples.root / EXAMPLES / f"{name}.yaml"
     text = path.read_text()
     assert old in text

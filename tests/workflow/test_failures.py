@@ -29,7 +29,7 @@ def house(repository, tmp_path_factory, house_builder):
 
 
 @pytest.mark.workflow
-def test_cause_and_cure_are_the_last_lines_in_every_mode(house) -> None:
+def test_cause_and_cure_are_the_last_lines_in_every_mode(house):
     """Of a campaign whose reference is one point, a thousand times; between these two lies the usual mode."""
     folder = house.root / "config/campaigns"
     (folder / "two.yaml").write_text(CAMPAIGN)
@@ -53,7 +53,7 @@ def test_cause_and_cure_are_the_last_lines_in_every_mode(house) -> None:
 
 
 @pytest.mark.workflow
-def test_end_results_that_were_cut_are_found_and_made_again(house, monkeypatch, capsys) -> None:
+def test_end_results_that_were_cut_are_found_and_made_again(house, monkeypatch, capsys):
     """Their time is the old one: Snakemake has nothing to do, and no job reads a page."""
     monkeypatch.chdir(house.root)
     folder = house.root / "config/campaigns"
@@ -82,7 +82,7 @@ def test_end_results_that_were_cut_are_found_and_made_again(house, monkeypatch, 
     assert main(["verify"]) == 0
 
 
-def test_what_is_missing_damaged_or_without_a_record_is_told(repository, tmp_path) -> None:
+def test_what_is_missing_damaged_or_without_a_record_is_told(repository, tmp_path):
     text = "\n".join(path.read_text() for path in (repository / "workflow/rules").glob("*.smk"))
     with_temp = [rule for rule in re.split(r"(?m)^(?:use )?rule ", text)[1:] if re.search(r"\btemp\(", rule)]
     assert {re.match(r"(?:\w+ as )?(\w+)", rule)[1] for rule in with_temp} == TEMPORARY
@@ -100,17 +100,17 @@ def test_what_is_missing_damaged_or_without_a_record_is_told(repository, tmp_pat
     assert found.commands()[0] == "snakemake --cores all --force 'results/study/a b.csv'"
 
 
-def heard(**of: object) -> logging.LogRecord:
+def heard(**of):
     record = logging.LogRecord("snakemake", logging.ERROR, "", 0, "", None, None)
     record.__dict__.update(of)
     return record
 
 
-def failed(job: int, log: Path) -> logging.LogRecord:
+def failed(job, log):
     return heard(event="job_error", jobid=job, rule_name=f"rule_{job}", output=[f"{job}.csv"], log=[str(log)])
 
 
-def test_jobs_that_do_better_in_another_attempt_are_not_told(tmp_path: Path) -> None:
+def test_jobs_that_do_better_in_another_attempt_are_not_told(tmp_path):
     failures, log = Failures(), tmp_path / "a.log"
     log.write_text("Traceback (most recent call last):\n  File x\n    y\nValueError: 17\nand more\n")
     for job in range(8):
@@ -125,7 +125,7 @@ def test_jobs_that_do_better_in_another_attempt_are_not_told(tmp_path: Path) -> 
     assert list(Failures().lines()) == []
 
 
-def test_the_cause_is_the_last_error_of_a_log_without_what_is_not_for_people() -> None:
+def test_the_cause_is_the_last_error_of_a_log_without_what_is_not_for_people():
     log = (
         "INFO thalweg: begins\nTraceback (most recent call last):\n  File a\n    b\n    ^\nKeyError: 'x'\n\n"
         "During handling of the above exception, another exception occurred:\n\n"

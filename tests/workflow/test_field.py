@@ -2,8 +2,6 @@
 
 import json
 import re
-from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -19,7 +17,7 @@ LOGS = "results/field_tiny/simulation/logs"
 
 
 @pytest.fixture(scope="module")
-def yard(repository: Path, tmp_path_factory: pytest.TempPathFactory, house_builder: Callable):
+def yard(repository, tmp_path_factory, house_builder):
     """A copy in which the small calibration campaign of the twin ran."""
     house = house_builder(repository, tmp_path_factory.mktemp("yard"))
     house.snakemake("--config", "campaign=field_tiny")
@@ -52,7 +50,7 @@ def as_users_have_it(yard):
     return yard
 
 
-def test_errors_against_the_truth_are_what_the_sigmas_say(yard) -> None:
+def test_errors_against_the_truth_are_what_the_sigmas_say(yard):
     table = pd.read_csv(yard.root / "results/field_tiny/accuracy/calibration_truth.csv")
     assert set(table["block"]) == {"camera_lidar", "lidar", "camera", "camera interior", "camera clock"}
     together = table[table["quantity"] == "together"].set_index("block")["normalised"]
@@ -65,7 +63,7 @@ def test_errors_against_the_truth_are_what_the_sigmas_say(yard) -> None:
     assert lever["sigma"].max() < 0.001  # P2: below a millimetre
 
 
-def test_the_page_shows_every_picture(yard) -> None:
+def test_the_page_shows_every_picture(yard):
     page = (yard.root / "results/field_tiny/calibration/index.html").read_text()
     pictures = sorted((yard.root / "results/field_tiny/figures").glob("*.png"))
     assert len(pictures) == 9
@@ -76,12 +74,12 @@ def test_the_page_shows_every_picture(yard) -> None:
         assert pixels.std() > 5, f"{path.name} is blank"
 
 
-def test_a_second_call_has_nothing_to_do(yard) -> None:
+def test_a_second_call_has_nothing_to_do(yard):
     run = yard.snakemake("--dry-run", "--config", "campaign=field_tiny")
     assert "Nothing to be done" in run.stdout + run.stderr
 
 
-def test_a_survey_that_names_it_gets_its_values_and_its_boat(yard) -> None:
+def test_a_survey_that_names_it_gets_its_values_and_its_boat(yard):
     text = (yard.root / "config/campaigns/tiny.yaml").read_text()
     start, end = text.index("mounts:"), text.index("orientation:")
     named = text[:start] + "mounts:\n  calibration: field_tiny\n\n" + text[end:]
@@ -98,7 +96,7 @@ def test_a_survey_that_names_it_gets_its_values_and_its_boat(yard) -> None:
 
 
 @pytest.mark.slow
-def test_files_named_by_globs_give_the_same_calibration(as_users_have_it) -> None:
+def test_files_named_by_globs_give_the_same_calibration(as_users_have_it):
     """As of the light sheet in `test_basin`; what is planned of such files is looked at below."""
     as_users_have_it.snakemake("--config", "campaign=yard")
     root = as_users_have_it.root / "results"
@@ -114,7 +112,7 @@ def test_files_named_by_globs_give_the_same_calibration(as_users_have_it) -> Non
 
 
 @pytest.fixture(scope="module")
-def in_part(as_users_have_it) -> Callable[[str], set[str]]:
+def in_part(as_users_have_it):
     """Rules that are planned: all recordings, without a run, and with a run but no camera."""
     root = as_users_have_it.root
     whole = yaml.safe_load((root / "config/campaigns/yard.yaml").read_text())
@@ -137,20 +135,20 @@ STILL = ("field", "reference_images", "position_images", "position_scans")
 """Recordings of a calibration without a dynamic run."""
 
 
-def test_files_named_by_globs_are_calibrated_without_the_twin(in_part) -> None:
+def test_files_named_by_globs_are_calibrated_without_the_twin(in_part):
     planned = in_part("yard")
     assert {"adjust_field", "calibrate_camera_lidar", "calibrate_ins_lidar", "assemble_boat"} <= planned
     assert {"read_display", "synchronise_camera", "calibration_page"} <= planned
     assert not any(rule.startswith("simulate_") or rule.endswith("_with_truth") for rule in planned)
 
 
-def test_a_calibration_without_a_run_ends_with_camera_and_lidar(in_part) -> None:
+def test_a_calibration_without_a_run_ends_with_camera_and_lidar(in_part):
     planned = in_part("still")
     assert {"calibrate_camera_lidar", "calibration_page"} <= planned
     assert not planned & {"calibrate_ins_lidar", "assemble_boat", "synchronise_camera", "build_trajectory"}
 
 
-def test_a_run_without_a_camera_ends_with_the_lidar_on_the_boat(in_part) -> None:
+def test_a_run_without_a_camera_ends_with_the_lidar_on_the_boat(in_part):
     planned = in_part("blind")
     assert {"calibrate_ins_lidar", "assemble_boat", "calibration_page"} <= planned
     assert not planned & {"orient_camera", "calibrate_camera_lidar", "synchronise_camera"}

@@ -1,9 +1,8 @@
 """The table of all pictures: what it gives to the rules, and how its mistakes are told."""
 
 import inspect
-import json
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
 from types import SimpleNamespace
@@ -12,10 +11,11 @@ from typing import get_origin, get_type_hints
 import pytest
 from matplotlib.figure import Figure as Drawing
 
+from tests.workflow.test_campaign_files import survey
 from thalweg.core import ConfigError, read_yaml
-from thalweg.settings import Campaign, load_campaigns, with_calibrations
+from thalweg.settings import load_campaigns, with_calibrations
 from thalweg.workflow import CampaignFiles, read_figures
-from thalweg.workflow.figures import Figure, Figures, rows_of
+from thalweg.workflow.figures import Figures, rows_of
 from thalweg_lab.campaign_files import twin_logs
 
 GOOD = """\
@@ -59,23 +59,9 @@ study:
     caption: A study.
 """
 
-IDENTITY = {
-    "id": "boat",
-    "title": "t",
-    "crs": "EPSG:25833",
-    "origin": {"lat_deg": 51.0, "lon_deg": 13.0, "h_ell_m": 300.0},
-}
-
-
-def campaign(**sections: object) -> CampaignFiles:
-    """A campaign of real logs, whose files are not looked at."""
-    found = Campaign.model_validate_json(json.dumps({"campaign": IDENTITY, **sections}))
-    return CampaignFiles(name="boat", campaigns={"boat": found})
-
-
-SURVEY = campaign(logs={"lidar": ["a.pcap"], "ins": ["a.anpp"]})
-REFERENCED = campaign(logs={"lidar": ["a.pcap"], "ins": ["a.anpp"], "reference": ["a.laz"]})
-BASIN = campaign(
+SURVEY = survey(logs={"lidar": ["a.pcap"], "ins": ["a.anpp"]})
+REFERENCED = survey(logs={"lidar": ["a.pcap"], "ins": ["a.anpp"], "reference": ["a.laz"]})
+BASIN = survey(
     logs={
         "light_sheet": {
             "grid_images": ["g"],
@@ -86,20 +72,20 @@ BASIN = campaign(
 
 
 @pytest.fixture
-def read(tmp_path: Path) -> Callable[[str], Figures]:
+def read(tmp_path):
     """Reads a text as a table beside a package with one drawing function."""
     (tmp_path / "pkg").mkdir()
     (tmp_path / "pkg/__init__.py").touch()
     (tmp_path / "pkg/maps.py").write_text("def draw_map(*, points):\n    return None\n")
 
-    def table(text: str) -> Figures:
+    def table(text):
         (tmp_path / "figures.yaml").write_text(text)
         return read_figures(tmp_path / "figures.yaml", source=tmp_path)
 
     return table
 
 
-def test_a_row_gives_its_rule_what_it_needs(read: Callable[[str], Figures]) -> None:
+def test_a_row_gives_its_rule_what_it_needs(read):
     by_name = {row.name: row for row in read(GOOD).rows}
     row = by_name["map"]
     assert (row.rule, row.path) == ("plot_map", "results/{campaign}/figures/map.png")
@@ -135,8 +121,8 @@ def test_a_row_gives_its_rule_what_it_needs(read: Callable[[str], Figures]) -> N
     assert study.params({}) == {"dpi": 200, "titles": True}
 
 
-def test_pictures_are_kept_in_the_formats_that_are_asked_for(read: Callable[[str], Figures]) -> None:
-    boat = campaign(logs={"lidar": ["a.pcap"], "reference": ["a.laz"]}, figures={"formats": ["pdf", "svg"]})
+def test_pictures_are_kept_in_the_formats_that_are_asked_for(read):
+    boat = survey(logs={"lidar": ["a.pcap"], "reference": ["a.laz"]}, figures={"formats": ["pdf", "svg"]})
     kept = ["results/boat/figures/map.png", "results/boat/figures/map.pdf", "results/boat/figures/map.svg"]
     assert read(GOOD).files_to_keep(boat) == kept
     assert read(GOOD).files_to_keep(REFERENCED) == kept[:1] == read(GOOD).files(boat)
@@ -144,7 +130,7 @@ def test_pictures_are_kept_in_the_formats_that_are_asked_for(read: Callable[[str
     assert all(name.endswith(".png") for name in photographs), "another rule makes them"
 
 
-def test_campaigns_and_pages_ask_for_the_pictures_that_apply(read: Callable[[str], Figures]) -> None:
+def test_campaigns_and_pages_ask_for_the_pictures_that_apply(read):
     table = read(GOOD)
     assert table.files(REFERENCED) == ["results/boat/figures/map.png"]
     assert table.files(SURVEY) == []
@@ -183,9 +169,7 @@ def test_campaigns_and_pages_ask_for_the_pictures_that_apply(read: Callable[[str
         ("  photo:\n", "  photo: 7\n  more:\n", 26, ["scan.photo", "found 7"]),
     ],
 )  # fmt: skip
-def test_a_mistake_is_told_with_line_and_cure(
-    read: Callable[[str], Figures], old: str, new: str, line: int, answers: list[str]
-) -> None:
+def test_a_mistake_is_told_with_line_and_cure(read, old, new, line, answers):
     assert old in GOOD
     with pytest.raises(ConfigError) as caught:
         read(GOOD.replace(old, new, 1))
@@ -195,7 +179,7 @@ def test_a_mistake_is_told_with_line_and_cure(
         assert answer in text
 
 
-def test_all_mistakes_are_told_at_once(read: Callable[[str], Figures]) -> None:
+def test_all_mistakes_are_told_at_once(read):
     with pytest.raises(ConfigError) as caught:
         read(GOOD.replace("=reports", "=report").replace("    caption: A scan.\n", ""))
     assert len(str(caught.value).splitlines()) == 2
@@ -205,13 +189,13 @@ def test_all_mistakes_are_told_at_once(read: Callable[[str], Figures]) -> None:
 
 
 @pytest.fixture(scope="module")
-def rows(repository: Path) -> list[Figure]:
+def rows(repository):
     found, mistakes = rows_of(read_yaml(repository / "workflow/figures.yaml"))
     assert mistakes == []
     return found
 
 
-def test_captions_of_files_speak_of_no_boat_and_no_river(rows: list[Figure]) -> None:
+def test_captions_of_files_speak_of_no_boat_and_no_river(rows):
     """A campaign of surface models: nobody sailed, and what is compared may be a beach."""
     table = Figures(rows)
     ours, theirs = table.captions("deformation"), table.captions("deformation", of_files=True)
@@ -220,7 +204,7 @@ def test_captions_of_files_speak_of_no_boat_and_no_river(rows: list[Figure]) -> 
     assert [name for name, words in theirs.items() if re.search(r"\b(boat|river)", words)] == []
 
 
-def test_every_row_gives_what_its_function_takes(rows: list[Figure]) -> None:
+def test_every_row_gives_what_its_function_takes(rows):
     assert len(rows) > 50
     for row in rows:
         if row.draw is None:
@@ -241,14 +225,14 @@ def test_every_row_gives_what_its_function_takes(rows: list[Figure]) -> None:
             assert not (one and get_origin(hints[key]) in (list, Sequence)), (row.name, key)
 
 
-def test_names_files_and_drawings_of_rows_are_their_own(rows: list[Figure], repository: Path) -> None:
+def test_names_files_and_drawings_of_rows_are_their_own(rows, repository):
     assert len({row.name for row in rows}) == len({row.path for row in rows}) == len(rows)
     text = "".join(p.read_text() for p in (repository / "src").rglob("figures/**/*.py"))
     written = set(re.findall(r"(?m)^def (draw_\w+)\([^()]*\) -> Figure:", text))
     assert written <= {row.draw.split(":")[1] for row in rows if row.draw}
 
 
-def test_settings_of_rows_are_keys_of_campaign_files(rows: list[Figure], repository: Path) -> None:
+def test_settings_of_rows_are_keys_of_campaign_files(rows, repository):
     defaults = read_yaml(repository / "config/schema.json").data
     for row in rows:
         for key in row.settings.values():
@@ -261,7 +245,7 @@ def test_settings_of_rows_are_keys_of_campaign_files(rows: list[Figure], reposit
                 node = node["properties"][part]
 
 
-def test_what_the_shipped_campaigns_show(repository: Path) -> None:
+def test_what_the_shipped_campaigns_show(repository):
     """The lists that stood in the rules: which pictures a survey, a calibration and a basin have."""
     folder = repository / "config/campaigns"
     campaigns = with_calibrations(
@@ -270,7 +254,7 @@ def test_what_the_shipped_campaigns_show(repository: Path) -> None:
     of = {n: CampaignFiles(name=n, campaigns=campaigns, twin_logs=twin_logs) for n in campaigns}
     table = read_figures(repository / "workflow/figures.yaml")
 
-    def names(campaign: str, page: str | None = None) -> list[str]:
+    def names(campaign, page=None):
         return [Path(name).stem for name in table.files(of[campaign], page)]
 
     reference = ["distance_map", "cross_sections", "distance_histogram", "distance_by_range"]
@@ -301,5 +285,5 @@ def test_what_the_shipped_campaigns_show(repository: Path) -> None:
     (row,) = [row for row in table.rows if row.name == "change_map"]
     changes = row.input_files(of)["changes"](SimpleNamespace(campaign="tiny_change"))
     assert changes == ["results/tiny_change/deformation/changes_1-2.parquet"]
-    boards = campaign(logs={"calibration": {"display": ["d"], "board_images": ["b"]}})
+    boards = survey(logs={"calibration": {"display": ["d"], "board_images": ["b"]}})
     assert table.files(boards) == []

@@ -6,9 +6,6 @@ written from the twin's true ground, so that it is known what must come out.
 
 import json
 import shutil
-from collections.abc import Iterator
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -42,7 +39,7 @@ COPIED = {f"bathymetry/{name}": f"bathymetry/{name}" for name in SAME} | {
 """Of the tiny campaign, and what the one with files of others calls it."""
 
 
-def write_files(folder: Path, tiny: Path, frame: LocalFrame, crs: CRS, twin: TwinConfig) -> None:
+def write_files(folder, tiny, frame, crs, twin):
     """Sections of soundings between the boat's legs, the true bed as raster, what a drone sees as cloud."""
     rng, scene = np.random.default_rng(5), tiny / "simulation/truth/scene.npz"
     grid, bands, _ = read_raster(tiny / "bathymetry/bed.tif")
@@ -50,7 +47,7 @@ def write_files(folder: Path, tiny: Path, frame: LocalFrame, crs: CRS, twin: Twi
     centres = grid.centres_m()
     local = frame.from_map(np.column_stack([centres, np.full(len(centres), frame.h_ell_m)]), crs)
 
-    def on_map(places: np.ndarray, up_m: np.ndarray) -> np.ndarray:
+    def on_map(places, up_m):
         return frame.to_map(np.column_stack([places, up_m]), crs)
 
     true = np.full(len(centres), np.nan)
@@ -73,14 +70,14 @@ def write_files(folder: Path, tiny: Path, frame: LocalFrame, crs: CRS, twin: Twi
 
 
 @pytest.fixture(scope="module")
-def others(tiny_house) -> Iterator[tuple[Path, Path]]:
+def others(tiny_house):
     """Folders of results of the tiny campaign and of the one with files of others."""
     root = tiny_house.root
     tiny, ours = root / "results/tiny", root / "results/others"
     for name, copy in COPIED.items():
         (ours / copy).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(tiny / name, ours / copy)
-    campaign: dict[str, Any] = yaml.safe_load((root / "config/campaigns/tiny.yaml").read_text())
+    campaign = yaml.safe_load((root / "config/campaigns/tiny.yaml").read_text())
     place = {key: campaign["campaign"][key] for key in ("crs", "origin")}
     frame, crs = LocalFrame(**place["origin"]), CRS.from_user_input(place["crs"])
     files = root / "files_of_others"
@@ -116,7 +113,7 @@ def others(tiny_house) -> Iterator[tuple[Path, Path]]:
     shutil.rmtree(files)
 
 
-def errors_m(folder: Path, tiny: Path) -> np.ndarray:
+def errors_m(folder, tiny):
     """Differences of the bed from the reference, cell by cell."""
     grid, bands, _ = read_raster(folder / "bathymetry/bed.tif")
     height = bands["height_m"].ravel()
@@ -126,7 +123,7 @@ def errors_m(folder: Path, tiny: Path) -> np.ndarray:
     return height[inside] - of["height_m"][row[inside], column[inside]]
 
 
-def test_soundings_of_others_make_the_bed_better(others) -> None:
+def test_soundings_of_others_make_the_bed_better(others):
     tiny, ours = others
     data = read_table(ours / "bathymetry/observations.parquet", OBSERVATIONS)[0]
     told = pd.read_csv(tiny.parents[1] / "files_of_others/others.csv")
@@ -135,7 +132,7 @@ def test_soundings_of_others_make_the_bed_better(others) -> None:
     assert np.sqrt(np.nanmean(after**2)) < 0.8 * np.sqrt(np.nanmean(before**2))
 
 
-def test_the_reference_bed_judges_the_bed(others) -> None:
+def test_the_reference_bed_judges_the_bed(others):
     tiny, ours = others
     found = json.loads((ours / "bathymetry/validation.json").read_text())["reference"]["multibeam.tif"]
     errors = errors_m(ours, tiny)
@@ -148,7 +145,7 @@ def test_the_reference_bed_judges_the_bed(others) -> None:
     assert sum(part["n"] for part in found["classes"].values()) == found["n"]
 
 
-def test_the_cloud_from_the_air_is_fitted_and_joined(others) -> None:
+def test_the_cloud_from_the_air_is_fitted_and_joined(others):
     tiny, ours = others
     true = json.loads((tiny.parents[1] / "files_of_others/air.json").read_text())["shift_m"]
     fit = json.loads((ours / "fusion/fit.json").read_text())
@@ -164,7 +161,7 @@ def test_the_cloud_from_the_air_is_fitted_and_joined(others) -> None:
     assert np.nanmin(model["sigma"][of_air]) > 0.5 * sigma[2]
 
 
-def test_the_map_shows_the_cloud_from_the_air(others) -> None:
+def test_the_map_shows_the_cloud_from_the_air(others):
     """P1 Fig. 3 and 6: lidar, soundings, bed coloured by depth and the drone's cloud on one map."""
     tiny, ours = others
     campaign = yaml.safe_load((tiny.parents[1] / "config/campaigns/tiny.yaml").read_text())["campaign"]

@@ -5,12 +5,9 @@ import os
 import re
 import subprocess
 import sys
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from multiprocessing import get_context
-from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import pytest
 from snakemake.benchmark import BenchmarkRecord
@@ -37,10 +34,10 @@ Path("said.json").write_text(json.dumps({
 
 
 @pytest.fixture(scope="module")
-def execute() -> Callable[..., None]:
+def execute():
     """The method that takes the place of Snakemake's; what it cannot fork is answered with a mark."""
 
-    def started(script: Any, fname: str, *, edit: bool) -> None:
+    def started(script, fname, *, edit):
         script.was_started = True
 
     context = get_context("forkserver")
@@ -48,16 +45,14 @@ def execute() -> Callable[..., None]:
     return forked._forking(started, context)
 
 
-def script_of(threads: int = 1, **more: Any) -> Any:
+def script_of(threads=1, **more):
     """What Snakemake knows of a script that it executes."""
     none = dict.fromkeys(("conda_env", "container_img", "env_modules", "shadow_dir", "bench_record"))
     return SimpleNamespace(**none | {"threads": threads, "resources": {"tmpdir": "/scratch"}} | more)
 
 
 @pytest.mark.parametrize("threads", [1, 2])
-def test_a_fork_has_a_folder_threads_and_environment_of_its_own(
-    execute: Callable[..., None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, threads: int
-) -> None:
+def test_a_fork_has_a_folder_threads_and_environment_of_its_own(execute, tmp_path, monkeypatch, threads):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "script.py").write_text(SAYS)
     record = BenchmarkRecord()
@@ -75,10 +70,10 @@ def test_a_fork_has_a_folder_threads_and_environment_of_its_own(
     assert record.running_time > 0
 
 
-def test_on_a_cluster_the_first_job_is_started(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_on_a_cluster_the_first_job_is_started(tmp_path, monkeypatch):
     """It may be the only one, which a server for others would delay; those after it are forked."""
     monkeypatch.chdir(tmp_path)
-    seen: list[str] = []
+    seen = []
     context = get_context("forkserver")
     execute = forked._forking(lambda script, fname, *, edit: seen.append(fname), context, 1)
     (tmp_path / "second.py").write_text("from pathlib import Path\nPath('ran').write_text('')\n")
@@ -88,12 +83,7 @@ def test_on_a_cluster_the_first_job_is_started(tmp_path: Path, monkeypatch: pyte
     assert (tmp_path / "ran").exists()
 
 
-def test_a_job_that_fails_asks_the_hook_that_it_has_set(
-    execute: Callable[..., None],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_a_job_that_fails_asks_the_hook_that_it_has_set(execute, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "script.py").write_text(
         "import sys\nfrom pathlib import Path\n"
@@ -113,11 +103,8 @@ def test_a_job_that_fails_asks_the_hook_that_it_has_set(
 
 
 def test_a_job_that_takes_longer_than_it_asks_for_is_told_and_ended_on_request(
-    execute: Callable[..., None],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+    execute, tmp_path, monkeypatch, capsys
+):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "script.py").write_text("import time\ntime.sleep(0.5)\n")
     script = script_of(rulename="scan_lidar", log=["scan.log"])
@@ -135,9 +122,7 @@ def test_a_job_that_takes_longer_than_it_asks_for_is_told_and_ended_on_request(
     assert re.search(told, (tmp_path / "scan.log").read_text())
 
 
-def test_jobs_that_end_beside_each_other_keep_their_exit_codes(
-    execute: Callable[..., None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_jobs_that_end_beside_each_other_keep_their_exit_codes(execute, tmp_path, monkeypatch):
     """Of such short processes without a lock, one in eight is said to have ended with 255; others end before
     anything measures them, if they begin at once.
     """
@@ -150,10 +135,8 @@ def test_jobs_that_end_beside_each_other_keep_their_exit_codes(
     assert all(script.bench_record.running_time > 0 for script in scripts)
 
 
-def test_where_no_process_can_be_forked_it_is_started(
-    execute: Callable[..., None], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def full(_: Any) -> None:
+def test_where_no_process_can_be_forked_it_is_started(execute, monkeypatch):
+    def full(_):
         raise OSError("AF_UNIX path too long")
 
     monkeypatch.setattr("multiprocessing.context.ForkServerProcess.start", full)
@@ -163,13 +146,13 @@ def test_where_no_process_can_be_forked_it_is_started(
 
 
 @pytest.mark.parametrize("key", ["conda_env", "container_img", "env_modules", "shadow_dir"])
-def test_what_needs_an_environment_is_started(execute: Callable[..., None], key: str) -> None:
+def test_what_needs_an_environment_is_started(execute, key):
     script = script_of(**{key: "that"})
     execute(script, "nothing.py")
     assert script.was_started
 
 
-def test_snakemake_has_the_method_that_is_replaced(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_snakemake_has_the_method_that_is_replaced(monkeypatch):
     """And what is read of its scripts: an update that renames them would stop all jobs."""
     before = PythonScript.execute_script
     monkeypatch.setattr(PythonScript, "execute_script", before)

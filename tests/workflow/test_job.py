@@ -43,14 +43,14 @@ def double(*, number: Path, several: list[Path], result: Path, factor: int, offs
 
 
 @pytest.fixture(autouse=True)
-def _restore_hooks(monkeypatch: pytest.MonkeyPatch) -> None:
+def _restore_hooks(monkeypatch):
     monkeypatch.setattr(sys, "excepthook", sys.excepthook)
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setattr("thalweg.workflow.job._start_log", lambda path: None)
 
 
-def test_keywords_come_from_the_rule(tmp_path: Path) -> None:
+def test_keywords_come_from_the_rule(tmp_path):
     arguments = job_arguments(double, FakeJob(tmp_path))
     assert arguments == {
         "number": tmp_path / "in.txt",
@@ -60,7 +60,7 @@ def test_keywords_come_from_the_rule(tmp_path: Path) -> None:
     }
 
 
-def test_files_become_what_a_keyword_asks_for(tmp_path: Path) -> None:
+def test_files_become_what_a_keyword_asks_for(tmp_path):
     """Tables whose names are words, JSON, facts beside a table, what may be missing, lists of any length."""
 
     def main(
@@ -85,14 +85,14 @@ def test_files_become_what_a_keyword_asks_for(tmp_path: Path) -> None:
     assert found["more"] == [Path("b"), Path("c")]
 
 
-def test_a_keyword_without_counterpart_is_named(tmp_path: Path) -> None:
+def test_a_keyword_without_counterpart_is_named(tmp_path):
     def main(*, result: Path, missing: int) -> None: ...
 
     with pytest.raises(InputError, match="rule double: the script asks for 'missing'"):
         job_arguments(main, FakeJob(tmp_path))
 
 
-def test_plain_values_become_the_section_that_a_keyword_names(tmp_path: Path) -> None:
+def test_plain_values_become_the_section_that_a_keyword_names(tmp_path):
     def main(*, filters: Filters, lidar: Lidar | None, area: Lidar | None, plain: dict[str, Any]) -> None: ...
 
     values = {"isolated_neighbours": 5}
@@ -105,7 +105,7 @@ def test_plain_values_become_the_section_that_a_keyword_names(tmp_path: Path) ->
     }
 
 
-def test_provenance_is_written(tmp_path: Path) -> None:
+def test_provenance_is_written(tmp_path):
     run_job(double, FakeJob(tmp_path, offset=1))
     assert (tmp_path / "out.txt").read_text() == "43"
     record = json.loads((tmp_path / "out.txt.meta.json").read_text())
@@ -120,7 +120,7 @@ def test_provenance_is_written(tmp_path: Path) -> None:
     assert record["libraries"]["numpy"]
 
 
-def test_linear_algebra_has_one_thread_whatever_the_job_has(tmp_path: Path) -> None:
+def test_linear_algebra_has_one_thread_whatever_the_job_has(tmp_path):
     """Sums of two threads differ from those of one in their last digits."""
     for set_threads in openblas("set"):
         set_threads(2)
@@ -131,14 +131,14 @@ def test_linear_algebra_has_one_thread_whatever_the_job_has(tmp_path: Path) -> N
     assert os.environ["OMP_NUM_THREADS"] == "2"
 
 
-def test_a_job_that_writes_nothing_fails(tmp_path: Path) -> None:
+def test_a_job_that_writes_nothing_fails(tmp_path):
     def main(*, number: Path) -> None: ...
 
     with pytest.raises(InputError, match="outputs were not written"):
         run_job(main, FakeJob(tmp_path))
 
 
-def test_a_failing_script_leaves_a_traceback_in_its_log_and_a_message_for_people(tmp_path: Path) -> None:
+def test_a_failing_script_leaves_a_traceback_in_its_log_and_a_message_for_people(tmp_path):
     code = f"""
 import sys
 from pathlib import Path
@@ -155,7 +155,7 @@ raise InputError("17 bytes", expected="1206", where="a.pcap, packet 3", cure="Cu
     assert "Traceback" in (tmp_path / "job.log").read_text()
 
 
-def test_scripts_can_be_imported_without_snakemake(repository: Path) -> None:
+def test_scripts_can_be_imported_without_snakemake(repository):
     scripts = sorted((repository / "workflow" / "scripts").glob("*.py"))
     for script in scripts:
         names = runpy.run_path(str(script))

@@ -6,14 +6,13 @@ import logging
 import os
 import subprocess
 import sys
-from pathlib import Path
-from types import ModuleType, SimpleNamespace
+from types import SimpleNamespace
 
 import pytest
 
 
 @pytest.fixture(scope="module")
-def progress(repository: Path) -> ModuleType:
+def progress(repository):
     path = repository / "workflow/progress/snakemake_logger_plugin_thalweg/__init__.py"
     spec = importlib.util.spec_from_file_location("progress_of_workflow", path)
     module = importlib.util.module_from_spec(spec)
@@ -21,13 +20,13 @@ def progress(repository: Path) -> ModuleType:
     return module
 
 
-def record(level: int, message: str, **more: object) -> logging.LogRecord:
+def record(level, message, **more):
     made = logging.LogRecord("snakemake", level, "", 0, message, None, None)
     made.__dict__.update(more)
     return made
 
 
-def test_every_rule_has_words(progress: ModuleType, repository: Path) -> None:
+def test_every_rule_has_words(progress, repository):
     words = progress.words_of_rules()
     text = "\n".join(path.read_text() for path in (repository / "workflow/rules").glob("*.smk"))
     assert len(words) > 80
@@ -35,7 +34,7 @@ def test_every_rule_has_words(progress: ModuleType, repository: Path) -> None:
     assert all(5 < len(line) < 200 and "\n" not in line for line in words.values())
 
 
-def test_a_line_says_time_count_campaign_and_work(progress: ModuleType, capsys, monkeypatch) -> None:
+def test_a_line_says_time_count_campaign_and_work(progress, capsys, monkeypatch):
     now = [100.0]
     monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
     handler = progress.LogHandler(None, None)
@@ -58,9 +57,7 @@ def test_a_line_says_time_count_campaign_and_work(progress: ModuleType, capsys, 
     ]
 
 
-def test_the_end_is_foretold_from_the_times_of_earlier_jobs(
-    progress: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_end_is_foretold_from_the_times_of_earlier_jobs(progress, tmp_path, monkeypatch, capsys):
     """Ten jobs of 1 s and one of 90 s: after the ten a tenth of the work is done, not ten elevenths."""
     monkeypatch.chdir(tmp_path)
     for rule, seconds in (("short", 1.0), ("long", 90.0)):
@@ -94,7 +91,7 @@ def test_the_end_is_foretold_from_the_times_of_earlier_jobs(
     assert {len(part) for part in line.split("\r")[1:]} == {progress.WIDTH}
 
 
-def test_snakemake_takes_it_with_its_options(repository: Path, tmp_path: Path) -> None:
+def test_snakemake_takes_it_with_its_options(repository, tmp_path):
     (tmp_path / "Snakefile").write_text('rule a:\n    output: "a.txt"\n    run: open("a.txt", "w").close()\n')
     command = [sys.executable, "-m", "snakemake", "--cores", "1", "--logger", "thalweg", "--quiet", "all"]
     run = subprocess.run(

@@ -8,9 +8,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 from snakemake.iocontainers import InputFiles, Log, OutputFiles, Params
@@ -28,7 +26,7 @@ class Job:
 
     rule, threads = "several", 1
 
-    def __init__(self, folder: Path, version: str = "new") -> None:
+    def __init__(self, folder, version="new"):
         (folder / "in.txt").write_text("21")
         self.input = InputFiles(fromdict={"number": str(folder / "in.txt")})
         names = dict(zip(("table", "cloud", "pictures"), FINAL, strict=True))
@@ -53,7 +51,7 @@ def several(*, number: Path, table: Path, cloud: Path, pictures: Path, version: 
     cloud.write_text(version * 1000)
 
 
-def found(folder: Path) -> dict[str, str]:
+def found(folder):
     """Texts of all files under final names, without provenance."""
     files = sorted(p for p in (folder / "results").rglob("*") if p.is_file() and ".part-" not in str(p))
     return {
@@ -63,7 +61,7 @@ def found(folder: Path) -> dict[str, str]:
     }
 
 
-def whole(version: str) -> dict[str, str]:
+def whole(version):
     return {
         "deep/cloud.laz": version * 1000,
         "pictures/0.png": f"{version} 21",
@@ -72,11 +70,11 @@ def whole(version: str) -> dict[str, str]:
     }
 
 
-def left_over(folder: Path) -> list[Path]:
+def left_over(folder):
     return [p for p in folder.rglob("*") if ".part-" in str(p)]
 
 
-def be_quiet(monkeypatch: pytest.MonkeyPatch) -> None:
+def be_quiet(monkeypatch):
     """No log, no commit asked for, the same threads: what these tests do not look at."""
     monkeypatch.setattr(sys, "excepthook", sys.excepthook)
     monkeypatch.setattr("thalweg.workflow.job._start_log", lambda path: None)
@@ -88,11 +86,11 @@ def be_quiet(monkeypatch: pytest.MonkeyPatch) -> None:
 _quiet = pytest.fixture(be_quiet, autouse=True)
 
 
-def _dies_at(moment: int, folder: Path) -> None:
+def _dies_at(moment, folder):
     """Run the job, and die as by ``kill -9`` at some access of the file system."""
     seen = 0
 
-    def heard(event: str, arguments: tuple[Any, ...]) -> None:
+    def heard(event, arguments):
         nonlocal seen
         if event.startswith(("open", "os.", "shutil.")) and any(str(folder) in str(a) for a in arguments):
             seen += 1
@@ -104,7 +102,7 @@ def _dies_at(moment: int, folder: Path) -> None:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="forks a process")
-def test_a_job_killed_at_any_moment_leaves_whole_outputs_or_none(tmp_path: Path) -> None:
+def test_a_job_killed_at_any_moment_leaves_whole_outputs_or_none(tmp_path):
     """In a Python of its own: a fork of this one, with all that other tests have loaded, takes longer."""
     root = Path(__file__).parents[2]
     code = "from tests.workflow import test_staging; test_staging.kill_at_each_moment()"
@@ -119,14 +117,14 @@ def test_a_job_killed_at_any_moment_leaves_whole_outputs_or_none(tmp_path: Path)
     assert run.returncode == 0, run.stderr
 
 
-def kill_at_each_moment() -> None:
+def kill_at_each_moment():
     """At each access of the file system, one after the other; outputs of an earlier run were there before."""
     with pytest.MonkeyPatch.context() as monkeypatch:
         be_quiet(monkeypatch)
         _kill_at_each_moment(Path(sys.argv[1]))
 
 
-def _kill_at_each_moment(tmp_path: Path) -> None:
+def _kill_at_each_moment(tmp_path):
     fork, outcomes = multiprocessing.get_context("fork"), set()
     old, job = tmp_path / "old", tmp_path / "job"
     old.mkdir()
@@ -156,7 +154,7 @@ def _kill_at_each_moment(tmp_path: Path) -> None:
     assert any(0 < n < 4 for n, *_ in outcomes), "no job died between two renamings"
 
 
-def test_what_libraries_leave_beside_an_output_goes(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_what_libraries_leave_beside_an_output_goes(tmp_path, caplog):
     run_job(several, Job(tmp_path, "old"))
     run_job(several, Job(tmp_path))
     assert caplog.messages.count("not declared as outputs, and removed: deep/cloud.laz.wal") == 2
@@ -169,7 +167,7 @@ def test_what_libraries_leave_beside_an_output_goes(tmp_path: Path, caplog: pyte
     assert record["params"]["folder"] == str(tmp_path / "results")
 
 
-def test_a_job_that_fails_leaves_what_was_there(tmp_path: Path) -> None:
+def test_a_job_that_fails_leaves_what_was_there(tmp_path):
     run_job(several, Job(tmp_path, "old"))
 
     def fails(*, table: Path) -> None:
@@ -182,7 +180,7 @@ def test_a_job_that_fails_leaves_what_was_there(tmp_path: Path) -> None:
     assert left_over(tmp_path) == []
 
 
-def test_an_input_that_changes_meanwhile_is_refused(tmp_path: Path) -> None:
+def test_an_input_that_changes_meanwhile_is_refused(tmp_path):
     def slow(*, number: Path, table: Path, cloud: Path, pictures: Path, version: str, folder: str) -> None:
         several(number=number, table=table, cloud=cloud, pictures=pictures, version=version, folder=folder)
         number.write_text("2100")
@@ -193,7 +191,7 @@ def test_an_input_that_changes_meanwhile_is_refused(tmp_path: Path) -> None:
     assert found(tmp_path) == {}
 
 
-def test_a_flipped_byte_in_an_input_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_flipped_byte_in_an_input_is_told(tmp_path, monkeypatch):
     """In a file or in a folder; what Snakemake adds to a folder does not count, nor does a copy elsewhere."""
     monkeypatch.chdir(tmp_path)
 
@@ -201,7 +199,7 @@ def test_a_flipped_byte_in_an_input_is_told(tmp_path: Path, monkeypatch: pytest.
         joined.write_text(cloud.read_text() + (pictures / "1.png").read_text())
 
     class Next(Job):
-        def __init__(self, source: str = "results") -> None:
+        def __init__(self, source="results"):
             super().__init__(Path())
             files = {"pictures": f"{source}/pictures", "cloud": f"{source}/deep/cloud.laz"}
             self.input = InputFiles(fromdict=files)
@@ -229,7 +227,7 @@ def test_a_flipped_byte_in_an_input_is_told(tmp_path: Path, monkeypatch: pytest.
 
 
 @pytest.fixture
-def small_disk(tmp_path: Path) -> Iterator[Path]:
+def small_disk(tmp_path):
     """A disk of one megabyte."""
     folder = tmp_path / "disk"
     folder.mkdir()
@@ -257,7 +255,7 @@ def _fills_in_other_words(*, table: Path) -> None:
 
 
 @pytest.mark.parametrize("writer", [_fills, _fills_in_other_words])
-def test_a_full_disk_is_named(small_disk: Path, writer: Callable[..., None]) -> None:
+def test_a_full_disk_is_named(small_disk, writer):
     run_job(several, Job(small_disk, "old"))
     with pytest.raises(InputError, match=r"no space is left on the disk .*0 MB are free.*Make room"):
         run_job(writer, Job(small_disk))
@@ -267,7 +265,7 @@ def test_a_full_disk_is_named(small_disk: Path, writer: Callable[..., None]) -> 
     assert found(small_disk) == whole("new")
 
 
-def test_results_that_can_only_be_read_are_named(small_disk: Path) -> None:
+def test_results_that_can_only_be_read_are_named(small_disk):
     run_job(several, Job(small_disk, "old"))
     job = Job(small_disk)
     subprocess.run(["mount", "-o", "remount,ro", str(small_disk)], check=True)
@@ -276,7 +274,7 @@ def test_results_that_can_only_be_read_are_named(small_disk: Path) -> None:
     assert found(small_disk) == whole("old")
 
 
-def test_what_a_dead_job_left_goes(tmp_path: Path) -> None:
+def test_what_a_dead_job_left_goes(tmp_path):
     left = tmp_path / "results" / Staging([Path(p) for p in Job(tmp_path).output], "several").name
     left.mkdir(parents=True)
     (left / "table.csv").write_text("half")
@@ -334,7 +332,7 @@ run_job(main, snakemake)
 """
 
 
-def _workflow(folder: Path) -> Path:
+def _workflow(folder):
     folder.mkdir()
     (folder / "Snakefile").write_text(SNAKEFILE)
     (folder / "first.py").write_text(FIRST)
@@ -342,7 +340,7 @@ def _workflow(folder: Path) -> Path:
     return folder
 
 
-def _snakemake(folder: Path, *words: str, environment: dict[str, str] | None = None) -> subprocess.Popen[str]:
+def _snakemake(folder, *words, environment=None):
     command = [sys.executable, "-m", "snakemake", "--cores", "1", "--quiet", *words]
     return subprocess.Popen(
         command,
@@ -355,12 +353,12 @@ def _snakemake(folder: Path, *words: str, environment: dict[str, str] | None = N
     )
 
 
-def _ends_well(run: subprocess.Popen[str]) -> None:
+def _ends_well(run):
     said = run.communicate()[0]
     assert run.returncode == 0, said
 
 
-def test_a_killed_run_is_resumed_without_the_marks_of_snakemake(tmp_path: Path) -> None:
+def test_a_killed_run_is_resumed_without_the_marks_of_snakemake(tmp_path):
     """Driver and jobs die at once; the lock that stays is named with its cure; the bytes are the same."""
     whole_run, killed = _workflow(tmp_path / "whole"), _workflow(tmp_path / "killed")
     reference = _snakemake(whole_run)
@@ -388,7 +386,7 @@ def test_a_killed_run_is_resumed_without_the_marks_of_snakemake(tmp_path: Path) 
 
 
 @pytest.mark.skipif(shutil.which("rsync") is None, reason="needs rsync")
-def test_jobs_in_node_local_scratch_give_the_same_results(repository: Path, tmp_path: Path) -> None:
+def test_jobs_in_node_local_scratch_give_the_same_results(repository, tmp_path):
     """Two folders; folders as outputs, params that name places, and provenance come along."""
     pytest.importorskip("snakemake_storage_plugin_fs")
     here, there = _workflow(tmp_path / "here"), _workflow(tmp_path / "there")

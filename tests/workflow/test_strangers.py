@@ -29,7 +29,7 @@ OTHER_FILE = (
 
 
 @pytest.mark.parametrize("name", ["; touch hacked", "$(touch hacked)", "../up", "a b", "`id`", "-rf", "a/b"])
-def test_an_id_that_is_no_name_is_refused(tmp_path: Path, name: str) -> None:
+def test_an_id_that_is_no_name_is_refused(tmp_path, name):
     """Ids are words of paths, of the comment of a job on a cluster, and of commands of Snakemake there."""
     file = tmp_path / "survey.yaml"
     file.write_text(f"campaign:\n  id: {name!r}\n")
@@ -38,7 +38,7 @@ def test_an_id_that_is_no_name_is_refused(tmp_path: Path, name: str) -> None:
     assert list(tmp_path.iterdir()) == [file]
 
 
-def test_names_of_logs_reach_no_shell(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_names_of_logs_reach_no_shell(tmp_path, monkeypatch):
     """Not by a job, nor by the commands that are asked about a cluster."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("thalweg.workflow.job._start_log", lambda path: None)
@@ -61,7 +61,7 @@ def test_names_of_logs_reach_no_shell(tmp_path: Path, monkeypatch: pytest.Monkey
     assert not list(tmp_path.rglob("hacked"))
 
 
-def test_names_that_a_shell_would_read_go_to_no_cluster() -> None:
+def test_names_that_a_shell_would_read_go_to_no_cluster():
     """Snakemake's quotes around the inputs of a job let them through, as `tests/cluster/run` found."""
     cluster.refuse_shell(["a; touch hacked & | > .pcap", "raw/lidar 1 (2).pcap", "Sajó_#1,2=3+4~%@!.las"])
     for name in ("$(touch hacked)", "`id`", "it's", 'a"b', "a\\b", "a\nb", "$HOME"):
@@ -69,7 +69,7 @@ def test_names_that_a_shell_would_read_go_to_no_cluster() -> None:
             cluster.refuse_shell(["good.pcap", name])
 
 
-def test_the_source_starts_no_shell(repository: Path) -> None:
+def test_the_source_starts_no_shell(repository):
     """Where a program is started its words are a list."""
     for path in sorted((repository / "src").rglob("*.py")):
         text = path.read_text()
@@ -78,7 +78,7 @@ def test_the_source_starts_no_shell(repository: Path) -> None:
         assert "os.popen" not in text, path
 
 
-def test_yaml_makes_no_objects(tmp_path: Path) -> None:
+def test_yaml_makes_no_objects(tmp_path):
     file = tmp_path / "a.yaml"
     file.write_text(f"campaign: !!python/object/apply:os.system ['touch {tmp_path}/hacked']\n")
     assert read_yaml(file).data == {"campaign": [f"touch {tmp_path}/hacked"]}  # plain words
@@ -88,7 +88,7 @@ def test_yaml_makes_no_objects(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("text", [BILLION, OTHER_FILE], ids=["grows", "reads another file"])
-def test_xml_has_no_entities(tmp_path: Path, text: str) -> None:
+def test_xml_has_no_entities(tmp_path, text):
     file = tmp_path / "markers.xml"
     file.write_text(text)
     with pytest.raises(InputError, match=r"markers\.xml: no XML \(it declares a document type"):
@@ -96,7 +96,7 @@ def test_xml_has_no_entities(tmp_path: Path, text: str) -> None:
     assert parse_xml("<document><a>1 &lt; 2</a></document>", "a.xml").findtext("a") == "1 < 2"
 
 
-def test_xml_is_parsed_in_one_place(repository: Path) -> None:
+def test_xml_is_parsed_in_one_place(repository):
     for path in sorted((repository / "src").rglob("*.py")):
         if path.name != "documents.py":
             text = path.read_text()
@@ -104,10 +104,10 @@ def test_xml_is_parsed_in_one_place(repository: Path) -> None:
             assert ".fromstring(" not in text, path
 
 
-def picture(width: int, height: int, pixels: bytes) -> bytes:
+def picture(width, height, pixels):
     """PNG, one grey byte a pixel, whose head may promise more than there is."""
 
-    def part(kind: bytes, data: bytes) -> bytes:
+    def part(kind, data):
         return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
 
     head = struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0)
@@ -116,9 +116,7 @@ def picture(width: int, height: int, pixels: bytes) -> bytes:
     )
 
 
-def test_a_picture_that_unpacks_to_gigabytes_is_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_picture_that_unpacks_to_gigabytes_is_refused(tmp_path, capsys):
     file = tmp_path / "bomb.png"
     file.write_bytes(picture(40_000, 40_000, bytes(1000)))
     with pytest.raises(InputError, match="1600000000 pixels"):
@@ -129,22 +127,21 @@ def test_a_picture_that_unpacks_to_gigabytes_is_refused(
     assert "1600000000 pixels" in capsys.readouterr().err
     good = np.frombuffer(picture(2, 1, b"\x00\x07\x09"), np.uint8)
     found = decode_picture(good, 0)
-    assert found is not None
     assert found.tolist() == [[7, 9]]
 
 
-def test_pictures_are_decoded_in_one_place(repository: Path) -> None:
+def test_pictures_are_decoded_in_one_place(repository):
     for path in sorted((repository / "src/thalweg").rglob("*.py")):
         if path.name != "documents.py":
             assert "cv2.imdecode(" not in path.read_text(), path
             assert "cv2.imread(" not in path.read_text(), path
 
 
-def test_arrays_run_no_code(tmp_path: Path) -> None:
+def test_arrays_run_no_code(tmp_path):
     """A pickle inside an archive of arrays would run when it is read."""
 
     class Hack:
-        def __reduce__(self) -> tuple[object, tuple[str]]:
+        def __reduce__(self):
             return os.system, (f"touch {tmp_path}/hacked",)
 
     np.savez(tmp_path / "poses.npz", poses=np.array([Hack()], dtype=object))
@@ -155,7 +152,7 @@ def test_arrays_run_no_code(tmp_path: Path) -> None:
     assert not (tmp_path / "hacked").exists()
 
 
-def test_archives_are_not_unpacked_but_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_archives_are_not_unpacked_but_named(tmp_path, capsys):
     """However much is packed into one, none of it is."""
     file = tmp_path / "log.pcap.gz"
     file.write_bytes(b"\x1f\x8b\x08" + bytes(2000))

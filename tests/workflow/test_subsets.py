@@ -19,7 +19,7 @@ from thalweg.ingest.nmea import read_nmea
 pytestmark = [pytest.mark.workflow, pytest.mark.real]
 
 
-def printed(page: Path, begin: str, end: str) -> list[str]:
+def printed(page, begin, end):
     """Commands between two headings of a page."""
     return list(commands(page.read_text().split(begin)[1].split(end)[0]))
 
@@ -50,7 +50,7 @@ def yacht(repository, tmp_path_factory, house_builder, data_dir):
     return house
 
 
-def test_commands_of_the_tutorial(yacht, repository) -> None:
+def test_commands_of_the_tutorial(yacht, repository):
     """The plan and the parts: what the logs give is made by now, what they do not give is said."""
     lines = printed(repository / "docs/tutorial.md", "## 5. Run it", "## 6.")
     said = {}
@@ -64,7 +64,7 @@ def test_commands_of_the_tutorial(yacht, repository) -> None:
         assert f"The logs of mulde_2026 give nothing of the part `{asked}`." in said[asked], said[asked]
 
 
-def test_check_config_says_what_the_logs_give(yacht, capsys) -> None:
+def test_check_config_says_what_the_logs_give(yacht, capsys):
     assert main(["check-config", str(yacht.root / "config" / "campaigns" / "mulde_2026.yaml")]) == 0
     text = capsys.readouterr().out
     gives, adds = (line for line in text.splitlines() if line.startswith(("  gives", "  more logs")))
@@ -73,7 +73,7 @@ def test_check_config_says_what_the_logs_give(yacht, capsys) -> None:
     assert "point cloud of the banks (logs.lidar" in adds
 
 
-def test_soundings_in_the_world(yacht, record_property) -> None:
+def test_soundings_in_the_world(yacht, record_property):
     folder = yacht.root / "results" / "mulde_2026" / "bathymetry"
     facts = json.loads((folder / "soundings.json").read_text())
     assert facts["pings"] == 149  # DPT sentences of the log
@@ -91,7 +91,7 @@ def test_soundings_in_the_world(yacht, record_property) -> None:
     assert table["sigma"].between(4.0, 8.0).all()
 
 
-def test_the_front_page_links_all(yacht) -> None:
+def test_the_front_page_links_all(yacht):
     folder = yacht.root / "results" / "mulde_2026"
     text = (folder / "index.html").read_text()
     for name in ("sounding_lines", "survey_map", "trajectory", "streams_in_time"):
@@ -105,7 +105,7 @@ def test_the_front_page_links_all(yacht) -> None:
     assert not (folder / "lidar").exists()
 
 
-def test_a_log_without_dates_and_heights(yacht, data_dir, capsys, record_property) -> None:
+def test_a_log_without_dates_and_heights(yacht, data_dir, capsys, record_property):
     """Four hours of a yacht, places by GLL alone: what is missing is said before the first job."""
     logs, campaigns = str(data_dir / "nmea_plaka_yacht"), yacht.root / "config" / "campaigns"
     assert main(["new-campaign", "plaka", "--from-logs", logs, "--folder", str(campaigns)]) == 0
@@ -129,7 +129,7 @@ def test_a_log_without_dates_and_heights(yacht, data_dir, capsys, record_propert
     assert sum(facts["by_reason"].values()) == 7250
 
 
-def test_an_empty_folder_apart_from_the_checkout(yacht, tmp_path, monkeypatch) -> None:
+def test_an_empty_folder_apart_from_the_checkout(yacht, tmp_path, monkeypatch):
     """Two commands there; the campaign is found by its name, and nothing is written into the checkout."""
     monkeypatch.chdir(tmp_path)
     assert main(["new-campaign", "away", "--from-logs", str(yacht.root / "surveys/mulde")]) == 0
@@ -142,7 +142,7 @@ def test_an_empty_folder_apart_from_the_checkout(yacht, tmp_path, monkeypatch) -
     assert not (yacht.root / "results/away").exists()
 
 
-def write_gpx(log: Path, target: Path) -> None:
+def write_gpx(log, target):
     """The yacht's positions as a plotter would export them (GPX 1.1); its depths stay in the log."""
     rows = read_nmea([log]).positions.dropna(subset=["t_gps_s", "h_ell_m"]).drop_duplicates("t_gps_s")
     points = "".join(
@@ -154,7 +154,7 @@ def write_gpx(log: Path, target: Path) -> None:
     target.write_text(f'<gpx version="1.1" xmlns="{space}"><trk><trkseg>{points}</trkseg></trk></gpx>')
 
 
-def test_a_track_in_gpx_places_the_same_soundings(yacht) -> None:
+def test_a_track_in_gpx_places_the_same_soundings(yacht):
     """As a new user would: sounder and plotter in one folder."""
     logs, campaigns = yacht.root / "logs_of_gpx", yacht.root / "config" / "campaigns"
     logs.mkdir()

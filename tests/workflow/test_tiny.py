@@ -9,7 +9,6 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import laspy
 import numpy as np
@@ -74,18 +73,18 @@ OF_RIG = {"plot_rig_residuals", "plot_rig_field"}
 """Pictures of the calibration of the rig, which rests on no survey."""
 
 
-def dry_run(house, campaign: str) -> str:
+def dry_run(house, campaign):
     """What Snakemake says it would do."""
     run = house.snakemake("--dry-run", "--config", f"campaign={campaign}")
     return run.stdout + run.stderr
 
 
-def planned(house) -> set[str]:
+def planned(house):
     """Rules of the tiny campaign that a dry run would execute."""
     return counted(dry_run(house, "tiny"))
 
 
-def counted(text: str) -> set[str]:
+def counted(text):
     """Rules in Snakemake's table of jobs, without those that follow from every picture."""
     table = re.search(r"(?ms)^job\s+count\n-.*?\n(.*?)^total", text)
     if table is None:
@@ -95,7 +94,7 @@ def counted(text: str) -> set[str]:
     return rules - {"front_page", "survey_report"} or rules
 
 
-def edited(house, module: str, addition: str):
+def edited(house, module, addition):
     """Append a statement to a module, and give back a function that undoes it."""
     path = house.root / "src/thalweg" / module
     before = path.read_text()
@@ -103,7 +102,7 @@ def edited(house, module: str, addition: str):
     return lambda: path.write_text(before)
 
 
-def test_everything_promised_is_there(tiny_house) -> None:
+def test_everything_promised_is_there(tiny_house):
     base = tiny_house.root / BASE
     for name in (
         "lidar/points.laz",
@@ -130,7 +129,7 @@ def test_everything_promised_is_there(tiny_house) -> None:
         assert (base / f"figures/{picture}.png").stat().st_size > 20_000, picture
 
 
-def test_the_cloud_is_what_the_conventions_say(tiny_house) -> None:
+def test_the_cloud_is_what_the_conventions_say(tiny_house):
     with laspy.open(tiny_house.root / BASE / "lidar/points.laz") as reader:
         header = reader.header
         assert str(header.version) == "1.4"
@@ -146,7 +145,7 @@ def test_the_cloud_is_what_the_conventions_say(tiny_house) -> None:
     assert reported["kept"] == len(points)
 
 
-def test_the_map_cloud_lies_on_the_map(tiny_house) -> None:
+def test_the_map_cloud_lies_on_the_map(tiny_house):
     with laspy.open(tiny_house.root / BASE / "lidar/points_map.laz") as reader:
         assert reader.header.parse_crs().to_epsg() == 25833
         assert 3e5 < reader.header.mins[0] < 6e5
@@ -158,7 +157,7 @@ def test_the_map_cloud_lies_on_the_map(tiny_house) -> None:
     np.testing.assert_allclose(found, frame.to_map(places, CRS(25833)), atol=2e-3)
 
 
-def test_the_bank_is_recovered_at_the_level_of_the_injected_noise(tiny_house) -> None:
+def test_the_bank_is_recovered_at_the_level_of_the_injected_noise(tiny_house):
     """Two-sided: worse is an error of the chain, better means that truth leaked in or sigmas are padded."""
     table = pd.read_csv(tiny_house.root / BASE / "accuracy/truth_statistics.csv")
     ground = table[table["points"] == "bare ground"].set_index("quantity")["value"]
@@ -175,7 +174,7 @@ def test_the_bank_is_recovered_at_the_level_of_the_injected_noise(tiny_house) ->
     )  # the rest are trees, bushes, stones, and footprints across an edge
 
 
-def test_the_cloud_agrees_with_the_reference_as_its_sigmas_say(tiny_house) -> None:
+def test_the_cloud_agrees_with_the_reference_as_its_sigmas_say(tiny_house):
     """From terrestrial scans and boat to a verdict, two-sided; plants are outliers and counted as such."""
     base = tiny_house.root / BASE / "accuracy"
     table = pd.read_csv(base / "statistics.csv").set_index(["registration", "points", "quantity"])["value"]
@@ -200,7 +199,7 @@ def test_the_cloud_agrees_with_the_reference_as_its_sigmas_say(tiny_house) -> No
     assert [link for link in re.findall(r'href="([^"#]+)', front) if not (base.parent / link).exists()] == []
 
 
-def test_the_processing_needs_no_truth(tiny_house) -> None:
+def test_the_processing_needs_no_truth(tiny_house):
     """All results were made while the folder of the truth was away; judges, pictures and pages came after."""
     after = counted((tiny_house.root / "judged.log").read_text())
     judges = {rule for rule in after if rule.endswith("_with_truth")}
@@ -210,7 +209,7 @@ def test_the_processing_needs_no_truth(tiny_house) -> None:
     assert after - judges - shown == {"summarise", "export_layers", "gis_project"}
 
 
-def test_the_bed_is_as_good_as_its_sigmas_say(tiny_house) -> None:
+def test_the_bed_is_as_good_as_its_sigmas_say(tiny_house):
     truth = pd.read_csv(tiny_house.root / BASE / "accuracy/truth_riverbed.csv").set_index("measure")["value"]
     # soundings with a noise of 2 cm, each of its own
     low, high = band(291)
@@ -230,7 +229,7 @@ def test_the_bed_is_as_good_as_its_sigmas_say(tiny_house) -> None:
     assert methods["kriging"] < 0.5 * methods["triangles"]
 
 
-def test_the_terrain_model_is_as_good_as_its_sigmas_say(tiny_house) -> None:
+def test_the_terrain_model_is_as_good_as_its_sigmas_say(tiny_house):
     truth = pd.read_csv(tiny_house.root / BASE / "accuracy/truth_dtm.csv").set_index("measure")["value"]
     square = "mean of squared error over variance"
     # One observation each: the bed as above, banks with the errors of pose of 25 s. The guards are
@@ -249,7 +248,7 @@ def test_the_terrain_model_is_as_good_as_its_sigmas_say(tiny_house) -> None:
     assert low < pings.loc[0, "normalised_square"] < high
 
 
-def test_rig_and_panorama_are_as_good_as_their_sigmas_say(tiny_house) -> None:
+def test_rig_and_panorama_are_as_good_as_their_sigmas_say(tiny_house):
     truth = pd.read_csv(tiny_house.root / BASE / "accuracy/truth_rig.csv").set_index("measure")["value"]
     square = "mean of squared error over variance"
     assert abs(truth["base: error, mm"]) < 0.3
@@ -266,14 +265,14 @@ def test_rig_and_panorama_are_as_good_as_their_sigmas_say(tiny_house) -> None:
     assert truth["colours: median error of a patch, of 255"] <= 6.0
 
 
-def test_all_streams_share_one_axis(tiny_house) -> None:
+def test_all_streams_share_one_axis(tiny_house):
     streams = pd.read_csv(tiny_house.root / BASE / "timing/streams.csv").set_index("stream")
     assert set(streams.index) == {"lidar", "ins", "gnss", "depth", "positions"}
     assert streams["synchronised"].all()
     assert (streams["duration_s"] > 15).all()
 
 
-def test_provenance_names_inputs_and_code(tiny_house) -> None:
+def test_provenance_names_inputs_and_code(tiny_house):
     record = json.loads((tiny_house.root / BASE / "lidar/points.laz.meta.json").read_text())
     assert record["rule"] == "georeference_lidar"
     assert re.fullmatch(r"[0-9a-f]{12}", record["code"])
@@ -281,7 +280,7 @@ def test_provenance_names_inputs_and_code(tiny_house) -> None:
     assert not any(Path(name).is_absolute() for name in record["inputs"])
 
 
-def test_requests_hold_and_waste_nothing(tiny_house, tmp_path: Path) -> None:
+def test_requests_hold_and_waste_nothing(tiny_house, tmp_path):
     """What rules state, which is for longer campaigns too, and what `thalweg costs --write` finds."""
     jobs = read_costs(tiny_house.root / "results/tiny")
     assert jobs["rule"].nunique() > 90
@@ -298,11 +297,11 @@ def test_requests_hold_and_waste_nothing(tiny_house, tmp_path: Path) -> None:
     assert again["used_memory"].between(0.25, 1.0).all()
 
 
-def test_a_second_call_has_nothing_to_do(tiny_house) -> None:
+def test_a_second_call_has_nothing_to_do(tiny_house):
     assert planned(tiny_house) == set()
 
 
-def test_an_edit_reruns_exactly_the_rules_that_use_it(tiny_house) -> None:
+def test_an_edit_reruns_exactly_the_rules_that_use_it(tiny_house):
     of_streams = {"plot_streams_in_time"}
     of_clouds = {
         "plot_survey_map",
@@ -383,13 +382,13 @@ def test_an_edit_reruns_exactly_the_rules_that_use_it(tiny_house) -> None:
     undo_comment()
 
 
-def test_the_log_tells_what_the_job_did(tiny_house) -> None:
+def test_the_log_tells_what_the_job_did(tiny_house):
     text = (tiny_house.root / "logs/tiny/lidar/georeference_lidar.log").read_text()
     assert "rule georeference_lidar done" in text
     assert (tiny_house.root / "benchmarks/tiny/lidar/georeference_lidar.jsonl").stat().st_size > 0
 
 
-def test_the_report_is_one_page(tiny_house) -> None:
+def test_the_report_is_one_page(tiny_house):
     tiny_house.snakemake("--config", "campaign=tiny", "--report", "report.html")
     page = (tiny_house.root / "report.html").read_text()
     pictures = ("survey_map", "streams_in_time", "cloud_overview", "removed_points")
@@ -420,7 +419,7 @@ georeferencing: {{export_map: false}}
 """
 
 
-def examples(root: Path) -> dict[str, Any]:
+def examples(root):
     """Functions of the script that makes the examples ready."""
     return runpy.run_path(str(root / "config/campaigns/examples/prepare.py"))
 
@@ -436,7 +435,7 @@ OF_SOURCE = {
 """What is made of the survey by each source of positions: what depends on them. The rest is planned."""
 
 
-def write_survey(house: House, source: str, more: str = "") -> None:
+def write_survey(house, source, more=""):
     """The campaign file ``boat_<source>``: the twin's logs as files, with positions of one source."""
     logs = house.root / BASE / "simulation/logs"
     text, camera = BOAT, ""
@@ -471,7 +470,7 @@ def write_survey(house: House, source: str, more: str = "") -> None:
 
 
 @pytest.fixture(scope="module")
-def surveys(tiny_house) -> House:
+def surveys(tiny_house):
     """A house in which the survey was processed by each source of positions, in one call."""
     for source in OF_SOURCE:
         write_survey(tiny_house, source)
@@ -482,7 +481,7 @@ def surveys(tiny_house) -> House:
 
 
 @pytest.mark.parametrize("source", OF_SOURCE)
-def test_logs_of_a_survey_go_the_same_way(surveys, source: str) -> None:
+def test_logs_of_a_survey_go_the_same_way(surveys, source):
     """The branch of real campaigns: files named in the campaign file, no twin, no truth, other positions."""
     base = surveys.root / f"results/boat_{source}"
     made = {json.loads(path.read_text())["rule"] for path in base.rglob("*.meta.json")}
@@ -510,7 +509,7 @@ def test_logs_of_a_survey_go_the_same_way(surveys, source: str) -> None:
         assert n == pytest.approx(reader.header.point_count, rel=0.01)
 
 
-def check_chains(base: Path) -> None:
+def check_chains(base):
     """Points of the clouds by INS, camera and all sensors."""
     chains = pd.read_csv(base / "accuracy/chains.csv")
     (cloud,) = chains[(chains["of"] == "shots of the lidar") & (chains["quantity"] == "in_cloud")].to_dict(
@@ -521,12 +520,12 @@ def check_chains(base: Path) -> None:
     assert cloud["fused"] == pytest.approx(cloud["ins"], rel=0.02)
 
 
-def test_clouds_by_three_trajectories_hold_what_they_can(tiny_house) -> None:
+def test_clouds_by_three_trajectories_hold_what_they_can(tiny_house):
     check_chains(tiny_house.root / BASE)
 
 
 @pytest.mark.slow
-def test_a_survey_of_logs_has_a_front_page(surveys) -> None:
+def test_a_survey_of_logs_has_a_front_page(surveys):
     """The rest of it: pictures and clouds by three trajectories, which `tiny` makes of the same points."""
     surveys.snakemake("--config", "campaign=boat_sbp")
     base = surveys.root / "results/boat_sbp"
@@ -536,7 +535,7 @@ def test_a_survey_of_logs_has_a_front_page(surveys) -> None:
     assert len(list((base / "figures").glob("*.png"))) > 20
 
 
-def test_windows_of_a_long_log_change_no_byte(surveys) -> None:
+def test_windows_of_a_long_log_change_no_byte(surveys):
     """Whole and in three windows, as their jobs make them."""
     base = surveys.root / "results/boat_ins/lidar"
     names = ("points.laz", "removed.parquet", "counts.csv")
@@ -550,7 +549,7 @@ def test_windows_of_a_long_log_change_no_byte(surveys) -> None:
     assert not list((base / "windows").glob("*.las"))
 
 
-def test_an_sbet_and_photographs_give_the_chains_of_camera_and_all_sensors(tiny_house, capsys) -> None:
+def test_an_sbet_and_photographs_give_the_chains_of_camera_and_all_sensors(tiny_house, capsys):
     """No lidar, no GNSS: an SBET states no fix; its standard deviations are what counts."""
     root, base = tiny_house.root, tiny_house.root / BASE
     path = root / "config/campaigns/examples/sbet_photographs.yaml"
@@ -593,7 +592,7 @@ def test_an_sbet_and_photographs_give_the_chains_of_camera_and_all_sensors(tiny_
     assert 'href="orientation/trajectory_fused.parquet"' in (results / "index.html").read_text()
 
 
-def test_raw_observations_of_the_twin_are_solved(tiny_house) -> None:
+def test_raw_observations_of_the_twin_are_solved(tiny_house):
     """The twin's receiver and base in raw observations, PPK, and the boat's poses: position_source ppk."""
     root = tiny_house.root
     own = yaml.safe_load((root / "config/campaigns/tiny.yaml").read_text())
@@ -642,7 +641,7 @@ def test_raw_observations_of_the_twin_are_solved(tiny_house) -> None:
     shutil.rmtree(base)
 
 
-def test_a_campaign_is_written_from_a_folder_of_logs(tiny_house) -> None:
+def test_a_campaign_is_written_from_a_folder_of_logs(tiny_house):
     logs = tiny_house.root / BASE / "simulation/logs"
     run = subprocess.run(
         [
@@ -674,9 +673,7 @@ def test_a_campaign_is_written_from_a_folder_of_logs(tiny_house) -> None:
 
 
 @pytest.mark.parametrize(("sideways_error_m", "consistent"), [(0.0, True), (0.10, False)])
-def test_with_the_true_poses_the_lidar_noise_remains(
-    tiny_house, tmp_path: Path, sideways_error_m: float, consistent: bool
-) -> None:
+def test_with_the_true_poses_the_lidar_noise_remains(tiny_house, tmp_path, sideways_error_m, consistent):
     """Time, decoding, mount and interpolation add nothing to the beam; 10 cm of lever arm are seen."""
     simulation = tiny_house.root / BASE / "simulation"
     log, options = [simulation / "logs/lidar.pcap"], LidarOptions()
@@ -719,7 +716,7 @@ def test_with_the_true_poses_the_lidar_noise_remains(
     assert (abs(ground["normalised_nmad"] - 1) < 0.06) == consistent
 
 
-def test_filters_take_what_they_should_and_leave_the_rest(tiny_house) -> None:
+def test_filters_take_what_they_should_and_leave_the_rest(tiny_house):
     """Scored against the truth of single shots: ghosts and the own boat go, surfaces stay."""
     scores = pd.read_csv(tiny_house.root / BASE / "accuracy/filter_scores.csv").set_index("kind")
     assert set(scores.index) == {"SURFACE", "MIXED", "GHOST", "HULL"}
@@ -731,7 +728,7 @@ def test_filters_take_what_they_should_and_leave_the_rest(tiny_house) -> None:
     assert kept["GHOST"] < 0.13
 
 
-def test_a_change_of_one_instrument_leaves_the_others_alone(tiny_house) -> None:
+def test_a_change_of_one_instrument_leaves_the_others_alone(tiny_house):
     """Jobs of the twin name the parts they need: a finer terrestrial scan does not sail the boat again."""
     campaign = tiny_house.root / "config/campaigns/tiny.yaml"
     text = campaign.read_text()
@@ -759,7 +756,7 @@ QUICK = {"validate_bed"}
 """What `make test` runs alone; `make test-slow` all rules."""
 
 
-def stamps(folder: Path) -> dict[str, tuple[int, int]]:
+def stamps(folder):
     """Each file of a folder with its size and time."""
     return {
         path.relative_to(folder).as_posix(): (path.stat().st_size, path.stat().st_mtime_ns)
@@ -768,7 +765,7 @@ def stamps(folder: Path) -> dict[str, tuple[int, int]]:
     }
 
 
-def within(name: str, outputs: set[str]) -> bool:
+def within(name, outputs):
     """Whether a file is one of these, or lies in a folder that is one."""
     return not outputs.isdisjoint([name, *(parent.as_posix() for parent in Path(name).parents)])
 
@@ -780,9 +777,7 @@ def within(name: str, outputs: set[str]) -> bool:
         for rule in sorted(rule_names(House(Path(__file__).parents[2])))
     ],
 )
-def test_a_rule_alone_makes_its_results_again_and_nothing_else(
-    tiny_house: House, tmp_path: Path, repository: Path, rule: str
-) -> None:
+def test_a_rule_alone_makes_its_results_again_and_nothing_else(tiny_house, tmp_path, repository, rule):
     """From what the others left, with no other rule allowed; files compared by value."""
     base = tiny_house.root / BASE
     records = [json.loads(path.read_text()) for path in sorted(base.rglob("*.meta.json"))]

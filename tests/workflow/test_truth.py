@@ -3,7 +3,6 @@
 import contextlib
 import json
 import shutil
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +23,7 @@ REFUSED = r"rule process: the truth of the digital twin is closed to this rule, 
 
 
 @pytest.fixture(scope="module")
-def truth(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def truth(tmp_path_factory):
     """A small truth in each format of the twin, beside a log."""
     folder = tmp_path_factory.mktemp("campaign") / "simulation" / "truth"
     folder.mkdir(parents=True)
@@ -49,7 +48,7 @@ def truth(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-READERS: dict[str, Callable[[Path], Any]] = {
+READERS = {
     "trajectory": lambda truth: Trajectory.read(truth / "trajectory.parquet"),
     "any Parquet": lambda truth: read_parquet(truth / "trajectory.parquet"),
     "NumPy": lambda truth: np.load(truth / "scene.npz"),
@@ -75,7 +74,7 @@ class Job:
 
     threads = 1
 
-    def __init__(self, folder: Path, rule: str, *, scene: Path, **params: object) -> None:
+    def __init__(self, folder, rule, *, scene, **params):
         self.rule = rule
         self.input = InputFiles(fromdict={"scene": str(scene)})
         self.output = OutputFiles(fromdict={"result": str(folder / "out.txt")})
@@ -84,7 +83,7 @@ class Job:
 
 
 @pytest.fixture(autouse=True)
-def _no_log(monkeypatch: pytest.MonkeyPatch) -> None:
+def _no_log(monkeypatch):
     monkeypatch.setattr("thalweg.workflow.job._start_log", lambda path: None)
     monkeypatch.setattr("thalweg.workflow.job._limit_threads", lambda threads: None)
 
@@ -93,14 +92,14 @@ def copy_text(*, scene: Path, result: Path, mounts: str = "", deep: Any = None) 
     result.write_text(scene.read_text())
 
 
-def test_a_declared_input_is_refused(truth: Path, tmp_path: Path) -> None:
+def test_a_declared_input_is_refused(truth, tmp_path):
     with pytest.raises(InputError, match=REFUSED + r"/mounts.json; expected .* compare_\.\.\._with_truth"):
         run_job(copy_text, Job(tmp_path, "process", scene=truth / "mounts.json"))
     assert not (tmp_path / "out.txt").exists()
 
 
 @pytest.mark.parametrize("params", [{"mounts": "{}"}, {"deep": {"files": ["a", "{}"]}}])
-def test_a_path_among_the_params_is_refused(truth: Path, tmp_path: Path, params: dict[str, Any]) -> None:
+def test_a_path_among_the_params_is_refused(truth, tmp_path, params):
     path = str(truth / "mounts.json")
     params = json.loads(json.dumps(params).replace("{}", path))
     with pytest.raises(InputError, match=REFUSED):
@@ -109,9 +108,7 @@ def test_a_path_among_the_params_is_refused(truth: Path, tmp_path: Path, params:
 
 
 @pytest.mark.parametrize("read", READERS.values(), ids=READERS)
-def test_a_path_that_the_script_computes_is_refused(
-    truth: Path, tmp_path: Path, read: Callable[[Path], Any]
-) -> None:
+def test_a_path_that_the_script_computes_is_refused(truth, tmp_path, read):
     def main(*, scene: Path, result: Path) -> None:
         read(scene.parents[1] / "truth")
         result.write_text("done")
@@ -125,8 +122,8 @@ def test_a_path_that_the_script_computes_is_refused(
     assert (tmp_path / "out.txt").read_text() == "done"
 
 
-def test_an_error_that_the_script_catches_counts_all_the_same(truth: Path) -> None:
-    def hushed() -> None:
+def test_an_error_that_the_script_catches_counts_all_the_same(truth):
+    def hushed():
         with contextlib.suppress(Exception):
             (truth / "mounts.json").read_text()
 
@@ -134,7 +131,7 @@ def test_an_error_that_the_script_catches_counts_all_the_same(truth: Path) -> No
         hushed()
 
 
-def test_a_link_does_not_hide_the_truth(truth: Path, tmp_path: Path) -> None:
+def test_a_link_does_not_hide_the_truth(truth, tmp_path):
     inward, outward = tmp_path / "harmless", tmp_path / "simulation" / "truth"
     inward.symlink_to(truth)
     outward.parent.mkdir()
@@ -146,7 +143,7 @@ def test_a_link_does_not_hide_the_truth(truth: Path, tmp_path: Path) -> None:
             (folder / "mounts.json").read_text()
 
 
-def test_all_else_stays_open(truth: Path, tmp_path: Path) -> None:
+def test_all_else_stays_open(truth, tmp_path):
     (tmp_path / "accuracy").mkdir()
     (tmp_path / "accuracy/truth_statistics.csv").write_text("a\n")
     with truth_closed("process", [{"title": "simulation of truth", "n": 3}]):
@@ -169,5 +166,5 @@ def test_all_else_stays_open(truth: Path, tmp_path: Path) -> None:
         ("summarise", False),
     ],
 )
-def test_only_the_twin_and_its_judges_may_read_the_truth(rule: str, may: bool) -> None:
+def test_only_the_twin_and_its_judges_may_read_the_truth(rule, may):
     assert may_read_truth(rule) is may
