@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
 from tests.bands import band
-from thalweg.clocks import CameraPoses, InsAttitude, OffsetOptions, Track, camera_offset
+from thalweg.clocks import CameraOffset, CameraPoses, InsAttitude, OffsetOptions, Track, camera_offset
 from thalweg.clocks.camera_offset import (
     Component,
     FieldError,
@@ -34,7 +34,7 @@ SIGMA_INS_RAD = np.deg2rad([0.1, 0.1, 0.2])
 FIELD = np.repeat([0.010, np.deg2rad(0.02)], 3)
 
 
-def boat(t, kind):
+def boat(t: np.ndarray, kind: str) -> tuple[np.ndarray, np.ndarray]:
     """Position (n, 3) and R_wcs_ics (n, 3, 3): round the yard, or one of the degenerate motions."""
     turn, zero = 2 * np.pi, 0.0 * t
     along = 0.7 * t + 0.35 * 17 / turn * np.sin(turn * t / 17) + 0.2 * 7.3 / turn * np.sin(turn * t / 7.3)
@@ -58,7 +58,7 @@ def boat(t, kind):
     )
 
 
-def slow(rng, t, time_s):
+def slow(rng: np.random.Generator, t: np.ndarray, time_s: float) -> np.ndarray:
     """Gauss-Markov process (n, 3) of unit variance."""
     out = rng.standard_normal((len(t), 3))
     keep = float(np.exp(-np.diff(t).mean() / time_s))
@@ -79,8 +79,15 @@ class Run:
 
 
 def simulate(
-    seed, n=60, kind="yard", *, jitter_s=JITTER_S, drift=0.0, sigma_pose=(0.005, np.pi / 6000), wrong=0
-):
+    seed: int,
+    n: int = 60,
+    kind: str = "yard",
+    *,
+    jitter_s: float = JITTER_S,
+    drift: float = 0.0,
+    sigma_pose: tuple[float, float] = (0.005, np.deg2rad(0.03)),
+    wrong: int = 0,
+) -> Run:
     """n seconds with 1 Hz images, 10 Hz positions, 50 Hz attitudes; errors as P2 and T state them."""
     rng = np.random.default_rng(seed)
     t = T0 + 20.0 + np.arange(n) + rng.uniform(0.0, 0.1)
@@ -127,7 +134,7 @@ def simulate(
     )
 
 
-def solve(run, *, attitude=False, options=None):
+def solve(run: Run, *, attitude: bool = False, options: OffsetOptions | None = None) -> CameraOffset:
     return camera_offset(
         run.poses, run.track, ins=run.ins if attitude else None, field_error=run.field, options=options
     )

@@ -156,7 +156,7 @@ def test_ties_from_a_table(tmp_path):
 # ---------------------------------------------------------------- trigger
 
 
-def pulses(rng, n=60):
+def pulses(rng: np.random.Generator, n: int = 60) -> np.ndarray:
     """Pulses every second, but for pauses that break the rhythm."""
     step = np.ones(n)
     step[[17, 31]] = (3.4, 2.7)

@@ -13,7 +13,7 @@ from thalweg_lab.random_numbers import gauss_markov
 SEEDS = 24
 
 
-def velocity(rng, t, scale=3.0):
+def velocity(rng: np.random.Generator, t: np.ndarray, scale: float = 3.0) -> np.ndarray:
     """A boat that zigzags, rolls and heaves; periods from 0.8 s."""
     v = np.column_stack([0.4 + 0 * t, np.cos(2 * np.pi / 50 * t + 1), 0 * t])
     for axis, amplitude, period in ((0, 0.006, 1.7), (1, 0.012, 2.1), (2, 0.020, 2.6)):
@@ -23,7 +23,7 @@ def velocity(rng, t, scale=3.0):
     return v
 
 
-def noise(rng, kind, n):
+def noise(rng: np.random.Generator, kind: str, n: int) -> np.ndarray:
     blue = np.diff(rng.normal(0, 0.01, (n + 1, 3)), axis=0) * 10
     red = np.column_stack([gauss_markov(rng, n, 0.1, 0.04, 3.0) for _ in range(3)])
     return {"blue": blue, "red": red, "both": blue + red}[kind]
@@ -107,10 +107,10 @@ FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
 LEVER = np.array([0.3, -0.2, -0.8])
 
 
-def survey(offset_s, seed=0):
+def survey(offset_s: float, seed: int = 0) -> tuple[pd.DataFrame, pd.DataFrame]:
     """INS at 50 Hz and antenna positions at 10 Hz whose stamps are late; the antenna swings with the roll."""
 
-    def pose(s):
+    def pose(s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         position = np.column_stack([0.4 * s, 4 * np.sin(0.2 * s), 0.03 * np.sin(2.4 * s)])
         speed = np.column_stack([0.4 + 0 * s, 0.8 * np.cos(0.2 * s), 0.072 * np.cos(2.4 * s)])
         return position, speed, rotation_enu_body(0.05 * np.sin(3 * s), 0.03 * np.sin(3.6 * s), 0.1 * s)

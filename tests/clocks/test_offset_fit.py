@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -13,6 +14,8 @@ from thalweg.clocks import OffsetOptions
 from thalweg.clocks.camera_offset import (
     NAMES,
     TURN_NAMES,
+    OffsetFit,
+    OffsetModel,
     OffsetState,
     Stacked,
     _known,
@@ -29,7 +32,7 @@ R_0 = Rotation.from_euler("xyz", [0.4, -0.7, 1.9]).as_matrix()
 """Turn from camera to INS about which the observations are linear."""
 
 
-def random_covariance(rng, n, sigma):
+def random_covariance(rng: np.random.Generator, n: int, sigma: float) -> ArrayF:
     root = 0.3 * rng.standard_normal((n, n)) / np.sqrt(n) + np.diag(rng.uniform(0.5, 1.5, n))
     return np.asarray(sigma**2 * root @ root.T)
 
@@ -44,7 +47,7 @@ class Linear:
     calls: int = 0
     restless_s: float = 0.0
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         rng = np.random.default_rng(17 + self.attitude)
         m = N * 3 * (1 + self.attitude)
         slow = ("slow_roll_1", "slow_pitch_1", "slow_heading_1")
@@ -77,40 +80,40 @@ class Linear:
             else None
         )
 
-    def times(self, state):
+    def times(self, state: OffsetState) -> ArrayF:
         t = self.poses.t_device_s
         return np.asarray(t + state.offset_s + state.drift * (t - self.reference_s))
 
-    def unknowns(self, state):
+    def unknowns(self, state: OffsetState) -> ArrayF:
         turn = Rotation.from_matrix(state.R_ics_ccs @ R_0.T).as_rotvec()
         x = [state.offset_s, state.drift, *state.lever_m]
         return np.array([*x, *turn, *state.slow] if self.attitude else x)
 
-    def observe(self, state):
+    def observe(self, state: OffsetState) -> Stacked:
         self.calls += 1
         residual = self.J @ self.unknowns(state) - self.y + self.restless_s * self.calls * self.motion
-        between = SimpleNamespace(t_gps_s=self.times(state))
+        between = cast(Any, SimpleNamespace(t_gps_s=self.times(state)))
         return Stacked(
             residual=residual, jacobian=self.J, motion=self.motion, image=self.image, between=between
         )
 
-    def covariance(self, state, between):
+    def covariance(self, state: OffsetState, between: object) -> ArrayF:
         return self.V
 
     @property
-    def effects(self):
+    def effects(self) -> ArrayF:
         Z = np.zeros((len(self.y), N))
         for row, image in enumerate(self.image):
             Z[row, image] = self.motion[row]
         return Z
 
 
-def start(model):
+def start(model: Linear) -> OffsetState:
     return OffsetState(offset_s=0.0, drift=0.0, lever_m=np.zeros(3))
 
 
-def fitted(model, options):
-    return fit_offset(model, start(model), options)
+def fitted(model: Linear, options: OffsetOptions) -> OffsetFit:
+    return fit_offset(cast(OffsetModel, model), start(model), options)
 
 
 LEVER = np.array([0.25, -0.05, 0.6])
@@ -123,7 +126,7 @@ OPTIONS = {
 }
 
 
-def knowledge(options, u):
+def knowledge(options: OffsetOptions, u: int) -> tuple[ArrayF, ArrayF]:
     """Weights (u, u) of what is known beforehand, and weights times values (u,)."""
     W, w = np.zeros((u, u)), np.zeros(u)
     W[1, 1] = options.sigma_drift**-2
@@ -133,7 +136,7 @@ def knowledge(options, u):
     return W, w
 
 
-def projector(A, V):
+def projector(A: ArrayF, V: ArrayF) -> ArrayF:
     W = np.linalg.inv(V)
     return np.asarray(W - W @ A @ np.linalg.inv(A.T @ W @ A) @ A.T @ W)
 
@@ -300,7 +303,7 @@ def test_what_is_known_beforehand():
 
 def test_the_turn_between_ins_and_camera_is_set_once():
     """It starts as the mean of what both say; a state that is oriented keeps its own, and its slow errors."""
-    seen = []
+    seen: list[OffsetState] = []
     turn = np.array([0.02, -0.01, 0.03])
     model = Linear(True, turn=turn)
     observe = model.observe
@@ -319,7 +322,7 @@ def test_the_turn_between_ins_and_camera_is_set_once():
     }
     for state, R, slow in other.values():
         seen.clear()
-        fit_offset(model, state, OPTIONS["held jitter"])
+        fit_offset(cast(OffsetModel, model), state, OPTIONS["held jitter"])
         assert_allclose(seen[0].R_ics_ccs, R, atol=1e-12)
         assert_array_equal(seen[0].slow, np.full(3, slow))
         assert seen[0].oriented

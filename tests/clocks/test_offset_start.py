@@ -1,6 +1,7 @@
 """First value of a camera's offset, and what its estimate takes from INS and track: by hand."""
 
 from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -19,7 +20,7 @@ from thalweg.clocks.camera_offset import (
 from thalweg.core import ClockError, CoverageError, exp_rotation, rotation_enu_body, rotation_opk
 
 
-def track(t, x=None):
+def track(t: np.ndarray, x: np.ndarray | None = None) -> Track:
     """Positions with x = t^2 / 10 and y = 5, unless stated."""
     t = np.asarray(t, dtype=np.float64)
     x = t**2 / 10 if x is None else x
@@ -27,7 +28,7 @@ def track(t, x=None):
     return Track(t_gps_s=t, position_m=place, cov_m2=np.tile(1e-4 * np.eye(3), (len(t), 1, 1)))
 
 
-def poses(stamp, centre, R=None):
+def poses(stamp: np.ndarray, centre: np.ndarray, R: np.ndarray | None = None) -> CameraPoses:
     n = len(stamp)
     return CameraPoses(
         file=np.array([f"{i}.jpg" for i in range(n)], dtype=object),
@@ -38,7 +39,7 @@ def poses(stamp, centre, R=None):
     )
 
 
-def boat(stamp, offset_s, lever_m):
+def boat(stamp: np.ndarray, offset_s: float, lever_m: tuple[float, float, float]) -> CameraPoses:
     """A camera that looks as wcs does, with the antenna at ``lever_m``."""
     t = np.asarray(stamp) + offset_s
     antenna = np.column_stack([t**2 / 10, np.full(len(t), 5.0), 0.0 * t])
@@ -104,7 +105,7 @@ def test_the_start_by_hand(offset_s):
 def test_the_end_of_the_search():
     """One and a half steps of 0.1 s before either end."""
     for offset_s, end in ((1.84, False), (1.86, True), (-1.84, False), (-1.86, True)):
-        assert at_the_end(SimpleNamespace(offset_s=offset_s), 2.0) is end
+        assert at_the_end(cast(Any, SimpleNamespace(offset_s=offset_s)), 2.0) is end
 
 
 @pytest.mark.parametrize(("extra_s", "shift_s"), [(1.4, 7201.5), (-1.4, 7198.5)])
@@ -172,7 +173,7 @@ def test_too_few_images_are_told_by_their_number():
 RATE = np.array([0.02, -0.03, 0.4])
 
 
-def ins(**changed):
+def ins(**changed: Any) -> InsAttitude:
     """Turns with a steady angular velocity, from t = 0 to 10 s each 0.05 s."""
     t = np.arange(0.0, 10.001, 0.05)
     R = np.stack([exp_rotation(RATE * s) for s in t])

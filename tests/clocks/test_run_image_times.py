@@ -23,7 +23,7 @@ T0 = 3.0e8
 OFFSET_S = 712.25
 
 
-def stamps_of(t_device_s):
+def stamps_of(t_device_s: np.ndarray) -> pd.DataFrame:
     n = len(t_device_s)
     return frame_of(
         IMAGE_STAMPS,
@@ -41,13 +41,13 @@ def stamps_of(t_device_s):
     )
 
 
-def pulses():
+def pulses() -> np.ndarray:
     step = np.ones(40)
     step[[11, 26]] = (3.4, 2.7)
     return T0 + np.cumsum(step)
 
 
-def run(rng):
+def run(rng: np.random.Generator) -> tuple[pd.DataFrame, np.ndarray]:
     """40 images, stamps with 20 ms jitter: pulse 5 made none, image 20 is by hand, the last has no stamp."""
     pulse = np.delete(pulses(), 5)
     t = np.insert(pulse - OFFSET_S + 0.02 * rng.standard_normal(39), 20, pulse[19] + 0.5 - OFFSET_S)

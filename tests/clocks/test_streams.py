@@ -12,7 +12,7 @@ from thalweg.ingest import Gap, IntegrityReport, StreamTiming
 T0 = float(gps_from_unix(1_620_808_267))  # 2021-05-12T08:31:07Z
 
 
-def report(stream, first, last, **more):
+def report(stream: str, first: float | None, last: float | None, **more: object) -> IntegrityReport:
     """A synchronised stream between seconds after `T0`; every field can be replaced."""
     facts = {
         "format": f"{stream} format",

@@ -28,7 +28,7 @@ T0 = float(gps_from_unix(1_620_808_267))
 FRAME = LocalFrame(lat_deg=51.0, lon_deg=13.7, h_ell_m=160.0)
 
 
-def trajectory(speed_mps, turn_degps, *, n=500, hole=False):
+def trajectory(speed_mps: float, turn_degps: float, *, n: int = 500, hole: bool = False) -> Trajectory:
     """A boat at 50 Hz that drives east and turns about up."""
     t = T0 + 0.02 * np.arange(n)
     valid = np.ones(n, dtype=bool)
@@ -46,8 +46,8 @@ def trajectory(speed_mps, turn_degps, *, n=500, hole=False):
     )
 
 
-def streams():
-    def report(stream, form, scale, **timing):
+def streams() -> pd.DataFrame:
+    def report(stream: str, form: str, scale: str, **timing: float) -> IntegrityReport:
         return IntegrityReport(
             stream=stream,
             format=form,

@@ -7,6 +7,7 @@ from scipy import sparse
 from scipy.stats import chi2
 
 from thalweg.core import (
+    Adjusted,
     GeometryError,
     Linear,
     Observations,
@@ -24,11 +25,11 @@ from thalweg.core.adjustment import HUBER_LIMIT, _same, condition, damped_step
 LINE = ("height", "slope")
 
 
-def line(x, y, sigma, *, name="points", thin=False):
+def line(x: np.ndarray, y: np.ndarray, sigma: np.ndarray, *, name: str = "points", thin: bool = False):
     J = np.stack([np.ones_like(x), x], axis=1)
     wide = sparse.csr_array(J) if thin else J
 
-    def model(state):
+    def model(state: np.ndarray) -> Linear:
         return Linear(residual=J @ state - y, jacobian=wide, cov=sigma**2)
 
     return Observations(name, model)
@@ -108,7 +109,7 @@ def test_an_observed_unknown_is_a_weighted_mean():
 # ---------------------------------------------------------------- Gauss-Helmert
 
 
-def on_line(state, observed):
+def on_line(state: np.ndarray, observed: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Condition a + b x - y = 0 with x and y observed."""
     x, y = observed.T
     g = state[0] + state[1] * x - y
@@ -188,7 +189,7 @@ def test_a_loss_alone_rejects_too(rng):
 # ---------------------------------------------------------------- what is not determined
 
 
-def levels(pairs, n, rng):
+def levels(pairs: list[tuple[int, int]], n: int, rng: np.random.Generator) -> Observations[np.ndarray]:
     """Height differences between benchmarks."""
     J = np.zeros((len(pairs), n))
     for i, (a, b) in enumerate(pairs):
@@ -234,7 +235,7 @@ def test_inner_constraints_give_the_pseudo_inverse(rng):
 # ---------------------------------------------------------------- bad input
 
 
-def flat(x):
+def flat(x: np.ndarray) -> Linear:
     return Linear(residual=x, jacobian=np.eye(2), cov=np.ones(2))
 
 
@@ -288,7 +289,9 @@ def test_a_step_too_far_is_damped():
     def model(x):
         return Linear(residual=np.arctan(x), jacobian=np.diag(1 / (1 + x**2)), cov=np.ones(1))
 
-    found = adjust([Observations("a", model)], np.array([3.0]), ("p",), max_iterations=60)
+    found: Adjusted[np.ndarray] = adjust(
+        [Observations("a", model)], np.array([3.0]), ("p",), max_iterations=60
+    )
     # a ten-thousandth of its sigma, which is 1
     assert abs(found.x[0]) < 1e-3
 

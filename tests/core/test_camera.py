@@ -22,7 +22,7 @@ FISHEYE = Camera(
 CAMERAS = [BROWN, FISHEYE]
 
 
-def directions(camera, n=200):
+def directions(camera: Camera, n: int = 200) -> np.ndarray:
     """Points in view: up to 35 degrees for the perspective lens, up to 100 degrees for the fisheye."""
     rng = np.random.default_rng(5)
     angle = np.radians(35.0 if camera.model == "perspective" else 100.0) * np.sqrt(rng.uniform(0, 1, n))
@@ -31,7 +31,7 @@ def directions(camera, n=200):
     return ray * rng.uniform(0.5, 30.0, (n, 1))
 
 
-def opencv(camera, points):
+def opencv(camera: Camera, points: np.ndarray) -> np.ndarray:
     fx, fy, cx, cy = camera.parameters[:4]
     # OpenCV counts pixels from the centre of the first one
     K = np.array([[fx, 0, cx - 0.5], [0, fy, cy - 0.5], [0, 0, 1.0]])

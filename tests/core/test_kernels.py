@@ -6,6 +6,7 @@ import pwd
 import re
 import sys
 import time
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -57,7 +58,7 @@ def bench(tmp_path, monkeypatch):
     forget()
 
 
-def edit(tmp_path, name, old, new):
+def edit(tmp_path: Path, name: str, old: str, new: str) -> None:
     path = tmp_path / "bench" / name
     text = path.read_text()
     assert old in text

@@ -1,5 +1,7 @@
 """LAZ clouds: round trips, the header's statements, what is refused, damaged files."""
 
+from typing import Any
+
 import laspy
 import numpy as np
 import pytest
@@ -27,7 +29,7 @@ EXTRA = {
 }
 
 
-def columns(n, seed=0):
+def columns(n: int, seed: int = 0) -> dict[str, Any]:
     rng = np.random.default_rng(seed)
     n_returns = rng.integers(1, 3, n).astype(np.uint8)
     return {

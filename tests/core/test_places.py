@@ -165,7 +165,7 @@ def test_coordinates_in_three_forms_are_the_same_place():
             world_of(wrong, GEODETIC, None, FRAME)
 
 
-def _earth():
+def _earth() -> np.ndarray:
     return np.column_stack(Transformer.from_crs(4979, 4978).transform([51.001], [13.752], [160.0]))
 
 

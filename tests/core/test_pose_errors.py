@@ -22,7 +22,7 @@ from thalweg.core import (
 T0 = 1e9
 
 
-def random_walk(m, rng):
+def random_walk(m: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Covariance (m, 7, m, 7) of m states of a chain of seven, each with the one before, and their own."""
     root = rng.standard_normal((m, 7, 7))
     full = np.zeros((m, 7, m, 7))
@@ -72,7 +72,7 @@ def test_between_two_nodes_errors_are_interpolated_and_outside_they_stay():
     assert found[2] == pytest.approx(root[1] @ root[1].T)
 
 
-def a_trajectory(cov):
+def a_trajectory(cov: np.ndarray) -> Trajectory:
     """Ten seconds at 20 Hz, turning; covariances (201, 6, 6)."""
     t = T0 + np.linspace(0.0, 10.0, 201)
     return Trajectory(

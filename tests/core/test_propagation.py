@@ -17,7 +17,7 @@ from thalweg.core import (
 )
 
 
-def three_links(rng, n):
+def three_links(rng: np.random.Generator, n: int) -> list[Link]:
     """The outer two with a pose for each point."""
     return [
         Link(rotation=Rotation.random(n, rng=rng).as_matrix(), shift_m=rng.normal(size=(n, 3))),
@@ -26,7 +26,7 @@ def three_links(rng, n):
     ]
 
 
-def moved(links, x, errors, dx):
+def moved(links: list[Link], x: np.ndarray, errors: np.ndarray, dx: np.ndarray) -> np.ndarray:
     """Points with finite errors (k, 6) of the links and dx of the point: the chain, written once more."""
     x = x + dx
     for link, e in zip(reversed(links), errors[::-1], strict=True):

@@ -22,7 +22,7 @@ from thalweg.core import (
 from thalweg.core.timescales import LeapSecondWarning, week_from_gps
 
 
-def unix(date):
+def unix(date: str) -> float:
     return dt.datetime.fromisoformat(date).replace(tzinfo=dt.UTC).timestamp()
 
 

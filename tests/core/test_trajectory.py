@@ -18,7 +18,7 @@ from thalweg.core import (
 )
 
 
-def turning(n=50, rate_hz=10.0):
+def turning(n: int = 50, rate_hz: float = 10.0) -> Trajectory:
     """Straight on at 0.4 m/s, turning by 7 degrees a second."""
     s = np.arange(n) / rate_hz
     R = rotation_enu_body(np.full(n, 0.02), np.full(n, -0.01), np.deg2rad(7.0) * s)

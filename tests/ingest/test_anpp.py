@@ -2,6 +2,8 @@
 
 import datetime as dt
 import struct
+from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,7 +11,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from tests.ingest.writers import anpp, files_of
 from thalweg.core import gps_from_unix, read_table, write_table
-from thalweg.ingest import DEPTH, GNSS_POSITION, INS_STATE
+from thalweg.ingest import DEPTH, GNSS_POSITION, INS_STATE, PoseLog
 from thalweg.ingest.anpp import read_anpp
 
 T0 = 1_494_614_695  # 2017-05-12T18:44:55 UTC
@@ -17,24 +19,26 @@ UTC_FIXED = 0x8 | 7 << 4 | 0x7
 NO_UTC = 0x1
 
 
-def state(t_us, *, filter_status=UTC_FIXED, system=0, rpy=(0.1, -0.2, 0.3)):
+def state(
+    t_us: int, *, filter_status: int = UTC_FIXED, system: int = 0, rpy: Sequence[float] = (0.1, -0.2, 0.3)
+) -> bytes:
     t = T0 * 1_000_000 + t_us
     numbers = [0.5, -0.25, 0.125, 1, 2, 3, 9.5, *rpy, 0.01, 0.02, 0.03, 0.02, 0.03, 0.05]
     head = struct.pack("<HHII3d", system, filter_status, t // 10**6, t % 10**6, 0.9, 0.23, 150.25)
     return anpp(20, head + struct.pack("<16f", *numbers))
 
 
-def depth(value=1.0):
+def depth(value: float = 1.0) -> bytes:
     return anpp(53, struct.pack("<2f", value, 0.1))
 
 
-def gnss(t_us, flags=7 | 1 << 4):
+def gnss(t_us: int, flags: int = 7 | 1 << 4) -> bytes:
     t = T0 * 1_000_000 + t_us
     head = struct.pack("<II3d", t // 10**6, t % 10**6, 0.9, 0.23, 151.0)
     return anpp(29, head + struct.pack("<10fH", 1, 2, 3, 0.02, 0.01, 0.04, 0, 0, 0, 0, flags))
 
 
-def read(tmp_path, *logs):
+def read(tmp_path: Path, *logs: bytes) -> PoseLog:
     return read_anpp(files_of(tmp_path, *logs))
 
 
@@ -234,7 +238,7 @@ def test_device_and_alarms(tmp_path):
     assert any("2 different devices" in note for note in log.report.notes)
 
 
-def small_log():
+def small_log() -> bytes:
     data = anpp(3, struct.pack("<6I", 1, 5, 1, 1, 2, 3))
     for k in range(12):
         data += state(k * 100_000) + depth(k) + anpp(26, struct.pack("<3f", 0.1, 0.1, 0.1))

@@ -1,6 +1,7 @@
 """The ANPP reader on the manufacturer's own log, field by field against the manufacturer's SDK."""
 
 from collections import Counter
+from typing import Any
 
 import numpy as np
 import pytest
@@ -39,7 +40,7 @@ def sdk(path):
     return out
 
 
-def decoded(sdk, kind):
+def decoded(sdk: list[ANPacket], kind: type[Any]) -> list[Any]:
     out = []
     for one in sdk:
         packet = kind()

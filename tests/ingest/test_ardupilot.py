@@ -2,6 +2,7 @@
 
 import struct
 from functools import partial
+from typing import Any
 
 import numpy as np
 import pytest
@@ -47,7 +48,7 @@ MESSAGES = {
 WEEK, LAG_S = 2300, 0.2
 
 
-def packed(name, *values):
+def packed(name: str, *values: object) -> bytes:
     kind, form, _ = MESSAGES[name]
     raw = [
         v.encode() if isinstance(v, str) else round(v / SCALES[c]) if c in SCALES else v
@@ -56,7 +57,7 @@ def packed(name, *values):
     return struct.pack("<BBB" + "".join(SIZES[c] for c in form), 0xA3, 0x95, kind, *raw)
 
 
-def heads():
+def heads() -> bytes:
     out = b""
     for name, (kind, form, columns) in {
         "FMT": (128, "BBnNZ", "Type,Length,Name,Format,Columns"),
@@ -69,7 +70,7 @@ def heads():
     return out
 
 
-def boat_log(*, und_m=46.5, delay_ms=0.0, depth="DPTH", gps=True):
+def boat_log(*, und_m: float = 46.5, delay_ms: float = 0.0, depth: str = "DPTH", gps: bool = True) -> bytes:
     """Two crossings of a river in 60 s at 10 Hz, 4 m deep; a receiver whose fixes come `LAG_S` late."""
     out = [
         heads(),
@@ -204,14 +205,17 @@ def test_soundings_of_a_log_make_a_bed(boat):
     assert any("without a position at their time" in note for note in soundings.notes)
 
 
-def telemetry(*, unix_s=1.7e9, component=1, system=1, n=100, ranges_cm=(), signed=False, said=()):
+def telemetry(
+    *, unix_s: float = 1.7e9, component: int = 1, system: int = 1, n: int = 100, ranges_cm: Any = (),
+    signed: bool = False, said: Sequence[str] = (),
+) -> bytes:  # fmt: skip
     """Five a second; of the eighth a receiver without heights and sigmas, of the ninth no place."""
     vehicle = mavlink.MAVLink(None, srcSystem=system, srcComponent=component)
     if signed:  # 13 bytes more behind each
         vehicle.signing.secret_key, vehicle.signing.sign_outgoing = bytes(32), True
     out = []
 
-    def say(message, t_s):
+    def say(message: mavlink.MAVLink_message, t_s: float) -> None:
         out.append(struct.pack(">Q", round(1e6 * (1.65e9 + t_s))) + message.pack(vehicle))
 
     for text in said:

@@ -12,12 +12,12 @@ UTM = "EPSG:25833"
 HEAD = "east_m,north_m,h_ell_m,sigma_m"
 
 
-def text(points, sigma_m=0.02, head=HEAD):
+def text(points: np.ndarray, sigma_m: float = 0.02, head: str = HEAD) -> str:
     rows = FRAME.to_map(points, CRS(25833))
     return "\n".join([head, *(f"{e:.4f},{n:.4f},{h:.4f},{sigma_m}" for e, n, h in rows.tolist())]) + "\n"
 
 
-def points(n=20):
+def points(n: int = 20) -> np.ndarray:
     return np.random.default_rng(4).uniform([-50, -50, -3], [50, 50, 0], (n, 3))
 
 

@@ -1,6 +1,7 @@
 """What a file states in words, units, signs and places decides; what contradicts it is refused."""
 
 import json
+from pathlib import Path
 
 import laspy
 import numpy as np
@@ -26,14 +27,14 @@ TEN = 1_718_186_400.0
 """2024-06-12T10:00:00Z."""
 
 
-def rows(path, head, *columns, above="", below=""):
+def rows(path: Path, head: str, *columns: object, above: str = "", below: str = "") -> Path:
     """A table with commas."""
     table = pd.DataFrame(dict(enumerate(columns)))
     path.write_text(f"{above}{head}\n{table.to_csv(index=False, header=False)}{below}")
     return path
 
 
-def soundings(path, crs=UTM):
+def soundings(path: Path, crs: CRS | None = UTM) -> np.ndarray:
     """Heights of the bed in the order of the file."""
     found = read_soundings(path, crs, column=None, depth=None, level_m=None, line_column=None, sigma_m=0.02)
     return found.height_m
@@ -195,7 +196,7 @@ def test_levels_by_their_names(tmp_path, text):
 # ---------------------------------------------------------------- clouds
 
 
-def las(path, xyz, crs=None):
+def las(path: Path, xyz: np.ndarray, crs: object = None) -> Path:
     header = laspy.LasHeader(point_format=6, version="1.4")
     header.scales, header.offsets = np.full(3, 0.001), np.floor(xyz.min(axis=0))
     if crs is not None:

@@ -10,18 +10,20 @@ from numpy.testing import assert_allclose, assert_array_equal
 from plyfile import PlyData, PlyElement
 from pyproj import CRS
 
-from thalweg.core import InputError, LazWriter, LocalFrame, ThalwegError, UnsupportedError
+from thalweg.core import ArrayF, InputError, LazWriter, LocalFrame, ThalwegError, UnsupportedError
 from thalweg.ingest.clouds import read_cloud
 
 N = 1000
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
 
 
-def points(n=N, seed=1):
+def points(n: int = N, seed: int = 1) -> ArrayF:
     return np.random.default_rng(seed).uniform(-50, 50, (n, 3)).round(3)
 
 
-def write_ply(path, *, text=False, order="<", single=False, faces=True):
+def write_ply(
+    path: Path, *, text: bool = False, order: str = "<", single: bool = False, faces: bool = True
+) -> None:
     xyz = points()
     kind = "f4" if single else "f8"
     fields = [("x", kind), ("y", kind), ("z", kind), ("nx", "f4"), ("ny", "f4"), ("nz", "f4")]
@@ -42,7 +44,7 @@ def write_ply(path, *, text=False, order="<", single=False, faces=True):
     PlyData(elements, text=text, byte_order=order).write(str(path))
 
 
-def write_las(path, version="1.2", point_format=3):
+def write_las(path: Path, version: str = "1.2", point_format: int = 3) -> None:
     header = laspy.LasHeader(point_format=point_format, version=version)
     header.scales, header.offsets = np.full(3, 0.001), np.zeros(3)
     header.add_crs(CRS(25833))
@@ -54,7 +56,7 @@ def write_las(path, version="1.2", point_format=3):
     las.write(str(path))
 
 
-def write_e57(path, scans=2):
+def write_e57(path: Path, scans: int = 2) -> None:
     file = pye57.E57(str(path), mode="w")
     for index in range(scans):
         xyz = points(seed=index)

@@ -1,6 +1,8 @@
 """What LAS and E57 state of their points: units, flags, times, turns; against points that are known."""
 
 import struct
+from pathlib import Path
+from typing import Any
 
 import laspy
 import numpy as np
@@ -11,7 +13,7 @@ from laspy.vlrs.known import GeoKeyDirectoryVlr
 from pyproj import CRS, Transformer
 
 from thalweg.cli import main
-from thalweg.core import InputError, gps_from_unix, iter_laz, laz_header
+from thalweg.core import ArrayF, InputError, gps_from_unix, iter_laz, laz_header
 from thalweg.deformation.foreign.clouds import read_points
 from thalweg.ingest.clouds import read_cloud
 
@@ -20,12 +22,22 @@ PLACE = np.array([412_000.0, 5_650_000.0, 150.0])
 US_FOOT_M = 1200 / 3937
 
 
-def points():
+def points() -> ArrayF:
     """Points of 20 m about a place in UTM, whole millimetres."""
     return PLACE + np.random.default_rng(4).uniform(-10, 10, (N, 3)).round(3)
 
 
-def a_las(path, xyz, *, crs="", keys=(), standard=False, scale=0.001, version="1.4", **columns):
+def a_las(
+    path: Path,
+    xyz: ArrayF,
+    *,
+    crs: str = "",
+    keys: tuple[int, ...] = (),
+    standard: bool = False,
+    scale: float = 0.001,
+    version: str = "1.4",
+    **columns: Any,
+) -> Path:
     """A cloud by laspy, with WKT, GeoKeys (key, value, ...) or both."""
     header = laspy.LasHeader(point_format=6 if version == "1.4" else 1, version=version)
     header.scales, header.offsets = np.full(3, scale), np.floor(xyz.min(axis=0))

@@ -63,7 +63,7 @@ def test_a_wrong_product_byte_needs_the_model(data_dir):
     assert any("HDL-32E" in note for note in report.notes)
 
 
-def sbet_bytes(byte_order="<", n=20):
+def sbet_bytes(byte_order: str = "<", n: int = 20) -> bytes:
     records = np.zeros((n, 17))
     records[:, 0] = 298_000.0 + np.arange(n) * 0.005
     records[:, 1:4] = [0.89, 0.23, 250.0]

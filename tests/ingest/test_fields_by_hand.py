@@ -94,7 +94,9 @@ def test_a_header_names_its_columns():
 LAYOUT = Layout(form="llh", dms=False, calendar=True, scale="gps", geodetic=False, names=("Q", "ns"))
 
 
-def row(date="2017/05/12", time="18:45:13.4", *more, **layout):
+def row(
+    date: str = "2017/05/12", time: str = "18:45:13.4", *more: str, **layout: object
+) -> list[float] | None:
     return _row([date, time, *(more or ("50.1", "13.2", "200.0", "1", "11"))], replace(LAYOUT, **layout))
 
 

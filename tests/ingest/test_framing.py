@@ -2,9 +2,11 @@
 
 import binascii
 import struct
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,7 +24,7 @@ Frame = tuple[int, int, int, int]
 """Kind, sender, offset of the payload, length."""
 
 
-def walk(data, at, least):
+def walk(data: bytes, at: Callable[[bytes, int], tuple[Frame, int] | None], least: int) -> Iterator[Frame]:
     """Frames of a log: the text of a format, word for word, tried at each byte."""
     i = 0
     while i + least <= len(data):
@@ -33,7 +35,7 @@ def walk(data, at, least):
             i = found[1]
 
 
-def anpp_at(data, i):
+def anpp_at(data: bytes, i: int) -> tuple[Frame, int] | None:
     lrc, kind, length, crc = struct.unpack_from("<BBBH", data, i)
     payload = data[i + 5 : i + 5 + length]
     sound = lrc == -sum(data[i + 1 : i + 5]) & 0xFF and len(payload) == length
@@ -41,7 +43,7 @@ def anpp_at(data, i):
     return ((kind, 0, i + 5, length), i + 5 + length) if sound else None
 
 
-def sbp_at(data, i):
+def sbp_at(data: bytes, i: int) -> tuple[Frame, int] | None:
     first, kind, sender, length = struct.unpack_from("<BHHB", data, i)
     end = i + 6 + length
     sound = first == 0x55 and kind != 0 and end + 2 <= len(data)
@@ -62,12 +64,12 @@ SBP = SimpleNamespace(
 both = pytest.mark.parametrize("form", [ANPP, SBP], ids=["anpp", "sbp"])
 
 
-def found(form, data, tally=None):
+def found(form: Any, data: bytes, tally: StreamTally | None = None) -> list[Frame]:
     b = form.find(np.frombuffer(data, np.uint8), tally)
     return list(zip(b.kind.tolist(), b.sender.tolist(), b.offset.tolist(), b.length.tolist(), strict=True))
 
 
-def some_log(form, rng, n=40):
+def some_log(form: Any, rng: np.random.Generator, n: int = 40) -> bytes:
     kinds = rng.integers(1, form.kinds, n).tolist()
     return b"".join(form.write(kind, rng.bytes(int(rng.integers(256)))) for kind in kinds)
 
@@ -191,7 +193,7 @@ def test_no_file_a_folder_and_a_file_of_something_else(form, tmp_path, rng):
     assert log.report.losses == {f"bytes_outside_{form.word}s": 30, f"{form.word}s_cut_at_end": 1}
 
 
-def damaged_inside(form, data, rng):
+def damaged_inside(form: Any, data: bytes, rng: np.random.Generator) -> bytes:
     """Damage payloads and lengths but keep all checksums right: values that no device sends."""
     out = b""
     for kind, sender, start, size in form.reference(data):

@@ -3,19 +3,20 @@
 import signal
 import sys
 import time
+from typing import Any
 
 import numpy as np
 import pytest
 
 
-def hang(fuzz, seen):
+def hang(fuzz: Any, seen: list[bytes]) -> None:
     for data in fuzz.inputs(b"abc", limit_s=0.05):
         seen.append(data)
         time.sleep(20.0)
 
 
 def test_an_endless_reader_fails(fuzz):
-    seen = []
+    seen: list[bytes] = []
     with pytest.raises(TimeoutError, match=r"input 0: not done within 0\.05 s"):
         hang(fuzz, seen)
     assert len(seen) == 1

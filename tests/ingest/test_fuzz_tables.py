@@ -45,15 +45,15 @@ class Form:
     cell: Callable[[str], str] = str
     names_cell: Callable[[str], str] = str
 
-    def rows(self):
+    def rows(self) -> list[list[str]]:
         return [
             [self.cell(self.number(v)) for v in row] for row in self.values.itertuples(index=False, name=None)
         ]
 
-    def number(self, value):
+    def number(self, value: object) -> str:
         return repr(value).replace(".", self.decimal) if isinstance(value, float) else str(value)
 
-    def write(self, path):
+    def write(self, path: Path) -> Path:
         heads = [self.names_cell(self.names.get(name, name)) for name in self.values]
         lines = [self.separator.join(heads)] * self.header
         lines += [self.below_names] * bool(self.below_names)
@@ -66,7 +66,7 @@ class Form:
 # ---------------------------------------------------------------- the examples of README and tutorial
 
 
-def survey(draw):
+def survey(draw: int) -> dict[str, pd.DataFrame]:
     """The example tables of a draw: a zigzag somewhere within 3 km of the origin, to a centimetre."""
     rng = np.random.default_rng([SEED, draw])
     n = int(rng.integers(25, 60))
@@ -91,25 +91,25 @@ def survey(draw):
     }
 
 
-def soundings(path, *, depth):
+def soundings(path: Path, *, depth: bool) -> np.ndarray:
     found = read_soundings(path, UTM, column=None, depth=None, level_m=None, line_column=None, sigma_m=0.02)
     assert found.depth == depth
     return np.column_stack([found.places_m, found.height_m])
 
 
-def control(path):
+def control(path: Path) -> np.ndarray:
     found = read_control_points(path, FRAME, crs="EPSG:25833", sigma_m=(0.01, 0.01, 0.02))
     return found.points_wcs_m
 
 
-def marks(path):
+def marks(path: Path) -> np.ndarray:
     found = read_marks(path)
     assert found.image[:2] == ("b0.jpg", "b1.jpg")
     assert found.point[:2] == ("P0", "P1")
     return found.xy_px
 
 
-READ = {
+READ: dict[str, Callable[[Path], np.ndarray]] = {
     "soundings": lambda path: soundings(path, depth=False),
     "depths": lambda path: soundings(path, depth=True),
     "cloud": lambda path: read_points(path).xyz_m,
@@ -126,7 +126,7 @@ LENGTHS = ("x", "y", "z", "depth", "sigma")
 # ---------------------------------------------------------------- forms with one result
 
 
-def permuted(form, rng):
+def permuted(form: Form, rng: np.random.Generator) -> Form:
     return replace(form, values=form.values[list(rng.permutation(form.values.columns))])
 
 
@@ -146,14 +146,14 @@ CONTROL = {"x": "Easting", "y": "Northing", "z": "Altitude", "id": "Label"}
 """Of control points ``east_m`` means the world frame."""
 
 
-def renamed(form, rng):
+def renamed(form: Form, rng: np.random.Generator) -> Form:
     k = int(rng.integers(4))
     own = CONTROL if "id" in form.values else {name: v[k] for name, v in SYNONYMS.items()}
     return replace(form, names={name: own[name] for name in form.values})
 
 
-def in_unit(metres, name):
-    def convert(form, rng):
+def in_unit(metres: float, name: Callable[[str], str]) -> Callable[[Form, np.random.Generator], Form]:
+    def convert(form: Form, rng: np.random.Generator) -> Form:
         lengths = [c for c in form.values if c in LENGTHS]
         values = form.values.assign(**{c: form.values[c] / metres for c in lengths})
         return replace(form, values=values, names={c: name(c) for c in lengths})
@@ -161,31 +161,31 @@ def in_unit(metres, name):
     return convert
 
 
-def units_below(form, rng):
+def units_below(form: Form, rng: np.random.Generator) -> Form:
     lengths = [c for c in form.values if c in LENGTHS]
     values = form.values.assign(**{c: form.values[c] / 0.3048 for c in lengths})
     line = form.separator.join("ft" if c in LENGTHS else "-" for c in values)
     return replace(form, values=values, below_names=line)
 
 
-def degrees(form, rng, *, names=True):
+def degrees(form: Form, rng: np.random.Generator, *, names: bool = True) -> Form:
     """Longitude and latitude to twelve digits, 0.1 micrometres."""
     lon, lat = Transformer.from_crs(UTM, 4326, always_xy=True).transform(form.values["x"], form.values["y"])
     values = form.values.assign(x=np.round(lon, 12), y=np.round(lat, 12))
     return replace(form, values=values, names={"x": "lon", "y": "lat"} if names else {})
 
 
-def nothing(*cells):
+def nothing(*cells: str) -> Callable[[Form, np.random.Generator], Form]:
     """A row without values at the end."""
 
-    def add(form, rng):
+    def add(form: Form, rng: np.random.Generator) -> Form:
         row = [cells[k % len(cells)] for k in range(form.values.shape[1])]
         return replace(form, tail=form.separator.join(row))
 
     return add
 
 
-def more_columns(form, rng):
+def more_columns(form: Form, rng: np.random.Generator) -> Form:
     n = len(form.values)
     first = pd.DataFrame({"FID": range(n), "remark": ['"stone, wet"'] * n})
     return replace(
@@ -193,14 +193,14 @@ def more_columns(form, rng):
     )
 
 
-def text(**how):
+def text(**how: object) -> Callable[[Form, np.random.Generator], Form]:
     return lambda form, rng: replace(form, **how)
 
 
-def grouped(form, rng):
+def grouped(form: Form, rng: np.random.Generator) -> Form:
     """5.650.000,25 as spreadsheets of a German locale show it."""
 
-    def cell(value):
+    def cell(value: str) -> str:
         try:
             return f"{float(value):,.6f}".replace(",", " ").replace(".", ",").replace(" ", ".")
         except ValueError:
@@ -210,7 +210,7 @@ def grouped(form, rng):
 
 
 Make = Callable[[Form, np.random.Generator], Form]
-SAME = {
+SAME: dict[str, Make] = {
     "as it is": text(),
     "columns in another order": permuted,
     "other names": renamed,
@@ -263,17 +263,17 @@ SAME = {
 # ---------------------------------------------------------------- forms that must be refused
 
 
-def swapped(form, rng):
+def swapped(form: Form, rng: np.random.Generator) -> Form:
     return replace(form, values=form.values.assign(x=form.values["y"], y=form.values["x"]))
 
 
-def scaled(factor, shift=0.0):
+def scaled(factor: float, shift: float = 0.0) -> Make:
     return lambda form, rng: replace(
         form, values=form.values.assign(x=form.values["x"] * factor + shift, y=form.values["y"] * factor)
     )
 
 
-def joined(form, rng):
+def joined(form: Form, rng: np.random.Generator) -> Form:
     """A second file with its columns in another order, behind the first."""
     other = form.values[list(form.values.columns)[::-1]]
     lines = [form.separator.join(other.columns)]
@@ -281,7 +281,7 @@ def joined(form, rng):
     return replace(form, tail="\n".join(lines))
 
 
-REFUSED = {
+REFUSED: dict[str, Make] = {
     "east and north exchanged": swapped,
     "feet that nothing states": scaled(1 / 0.3048),
     "millimetres that nothing states": scaled(1000.0),
@@ -303,18 +303,18 @@ UNTOLD = {"cloud", "cameras", "flow"}
 """Of these no coordinate system is known, so that another place is as good as any."""
 
 
-def result(name, form, folder):
+def result(name: str, form: Form, folder: Path) -> np.ndarray:
     return READ[name](form.write(folder / "table.csv"))
 
 
-def told(error):
+def told(error: ThalwegError) -> None:
     """A refusal names what was found, what was expected and what to do."""
     assert error.found
     assert error.expected
     assert error.cure
 
 
-def pairs(hows):
+def pairs(hows: dict[str, Make]) -> list[tuple[str, str]]:
     """Form and example: each form with two examples, and with all of them in `make fuzz`."""
     names = list(READ)
     chosen = range(len(names)) if FUZZ else (0, 3)
@@ -322,14 +322,14 @@ def pairs(hows):
 
 
 @cache
-def content(name, draw):
+def content(name: str, draw: int) -> tuple[pd.DataFrame, np.ndarray]:
     """An example table, and what is read of it as it is."""
     values = survey(draw)[name]
     with TemporaryDirectory() as folder:
         return values, result(name, Form(values), Path(folder))
 
 
-def suits(name, how):
+def suits(name: str, how: str) -> bool:
     """Whether a form makes sense of an example: pixels are no lengths and no places."""
     return name != "marks" or not how.startswith(("degrees", "a unit behind", "east", "feet that"))
 

@@ -2,7 +2,9 @@
 
 import json
 import re
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -93,11 +95,11 @@ CAMERAS = "# Camera list\n1 OPENCV 4000 3000 3000.5 3000.5 2000.0 1500.0 0.01 0.
 FRAME = LocalFrame(lat_deg=50.5, lon_deg=13.7, h_ell_m=100.0)
 
 
-def marked(path):
+def marked(path: Path) -> object:
     return read_marked(path, "mounts", kind="mounts", version=1, what="mounts", cure="Make it")
 
 
-READERS = {
+READERS: dict[str, tuple[str, str, Callable[[Path], Any]]] = {
     "matrix": ("a.txt", MATRIX, read_matrix),
     "kalibr": ("a.yaml", CHAIN.format(first=rows(np.eye(4)), second=rows(np.eye(4))), read_kalibr),
     "opencv": ("a.yaml", OPENCV, read_camera),
@@ -157,7 +159,7 @@ WORDS = (
 """What stands in the place of a word or a number."""
 
 
-def misused(data, rng):
+def misused(data: bytes, rng: np.random.Generator) -> bytes:
     """A text with another word or two in the place of one, or with damaged bytes."""
     text = data.decode()
     for _ in range(int(rng.integers(1, 3))):
@@ -190,6 +192,6 @@ def test_fuzz_of_documents(name, fuzz, tmp_path):
             fuzz.was_read()
 
 
-def _written(path, data):
+def _written(path: Path, data: bytes) -> Path:
     path.write_bytes(data)
     return path

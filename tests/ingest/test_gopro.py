@@ -2,6 +2,7 @@
 
 import datetime as dt
 import struct
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,16 +15,16 @@ from thalweg.ingest.registry import describe, read_positions, recognise
 UNIX_S = 1_492_450_263.25
 
 
-def box(kind, *content):
+def box(kind: bytes, *content: bytes) -> bytes:
     data = b"".join(content)
     return struct.pack(">I4s", len(data) + 8, kind) + data
 
 
-def full(kind, *content):
+def full(kind: bytes, *content: bytes) -> bytes:
     return box(kind, bytes(4), *content)
 
 
-def movie(payloads):
+def movie(payloads: list[bytes]) -> bytes:
     """An MP4 whose only track is telemetry, a payload a second."""
     n, head = len(payloads), box(b"ftyp", b"mp41", bytes(4), b"mp41") + box(b"free", b"GoPro")
     starts = len(head) + 8 + np.cumsum([0, *map(len, payloads)])[:-1]
@@ -46,18 +47,18 @@ def movie(payloads):
     return head + box(b"mdat", *payloads) + movie_box
 
 
-def record(key, kind, size, count, data):
+def record(key: bytes, kind: bytes, size: int, count: int, data: bytes) -> bytes:
     """One key, length and value, filled to four bytes."""
     return key + struct.pack(">cBH", kind, size, count) + data + bytes(-len(data) % 4)
 
 
-def device(*streams):
+def device(*streams: bytes) -> bytes:
     content = b"".join(record(b"STRM", b"\0", 1, len(stream), stream) for stream in streams)
     data = record(b"DVID", b"L", 4, 1, struct.pack(">I", 1)) + record(b"DVNM", b"c", 5, 1, b"HERO5") + content
     return record(b"DEVC", b"\0", 1, len(data), data)
 
 
-def gps5(second, *, fix=3, n=20, late_s=0.0):
+def gps5(second: int, *, fix: int = 3, n: int = 20, late_s: float = 0.0) -> bytes:
     """A payload of positions that go north by 1e-6 degrees each, GPSU at its begin."""
     when = dt.datetime.fromtimestamp(UNIX_S + second + late_s, dt.UTC)
     rows = b"".join(
@@ -72,7 +73,7 @@ def gps5(second, *, fix=3, n=20, late_s=0.0):
     )
 
 
-def gps9():
+def gps9() -> bytes:
     """Ten positions of 2026-05-12 with own times, the first without a fix."""
     days = (dt.date(2026, 5, 12) - dt.date(2000, 1, 1)).days
     rows = b"".join(
@@ -89,7 +90,7 @@ def gps9():
     )
 
 
-def video(tmp_path, *payloads):
+def video(tmp_path: Path, *payloads: bytes) -> Path:
     path = tmp_path / "GX010001.MP4"
     path.write_bytes(movie(list(payloads)))
     return path

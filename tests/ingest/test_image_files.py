@@ -1,5 +1,7 @@
 """Photographs in folders below folders: which are read, how they are called, what is counted."""
 
+from pathlib import Path
+
 import pytest
 from PIL import Image
 
@@ -8,7 +10,7 @@ from thalweg.ingest.photos import by_any_name, list_images, named_images, read_i
 from thalweg.ingest.photos.files import find_images
 
 
-def photographs(folder, *names):
+def photographs(folder: Path, *names: str) -> Path:
     for name in names:
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         if name.lower().endswith((".jpg", ".png")):

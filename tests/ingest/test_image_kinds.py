@@ -1,5 +1,7 @@
 """Photographs and the tables beside them are known by their content, and a new campaign lists them."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 import yaml
@@ -71,7 +73,7 @@ TRACK = (
 """With a track photographs are those of a boat."""
 
 
-def _logs(folder):
+def _logs(folder: Path) -> None:
     (folder / "raw" / "photos").mkdir(parents=True)
     (folder / "raw" / "masks").mkdir()
     for k in (2, 10, 1):

@@ -1,6 +1,7 @@
 """Times of photographs: from names, EXIF and tables, with everything that is wrong told."""
 
 import warnings
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,7 +18,13 @@ UNIX = 1_620_808_267  # 2021-05-12T08:31:07Z
 T0 = float(gps_from_unix(UNIX))
 
 
-def photo(path, when=None, fraction=None, offset=None, size=(32, 24)):
+def photo(
+    path: Path,
+    when: str | None = None,
+    fraction: str | None = None,
+    offset: str | None = None,
+    size: tuple[int, int] = (32, 24),
+) -> Path:
     """A small JPEG with the EXIF tags that are given."""
     exif = Image.Exif()
     exif[0x010F], exif[0x0110] = "Panasonic", "DMC-GX80"

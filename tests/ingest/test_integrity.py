@@ -10,7 +10,7 @@ from thalweg.core import gps_from_week
 from thalweg.ingest import Gap, IntegrityReport, find_gaps
 
 
-def hole(start_s, duration_s, lost):
+def hole(start_s: float, duration_s: float, lost: int) -> Gap:
     return Gap(t_start_s=start_s, duration_s=duration_s, lost=lost)
 
 

@@ -27,7 +27,7 @@ TRACK = """Timestamp;Longitude;Latitude;EllipsoidalHeight;Status
 """
 
 
-def deeper(rows):
+def deeper(rows: int) -> str:
     return "".join(f"{35.0 + k * 1e-4},139.5,{k % 7}.5,29.0,{UNIX_MS + 2000 * k}\n" for k in range(rows))
 
 

@@ -15,20 +15,20 @@ from pynmeagps import NMEAReader
 from tests.ingest.writers import nmea, read_or_refused
 from thalweg.cli import main
 from thalweg.core import InputError, gps_from_unix, gps_from_week, write_table
-from thalweg.ingest import DEPTH, GNSS_POSITION
+from thalweg.ingest import DEPTH, GNSS_POSITION, PositionLog
 from thalweg.ingest.nmea import read_nmea
 
 GGA = "GPGGA,{},5251.0094,N,00518.8172,E,4,12,0.60,10.500,M,46.800,M,1.2,0123"
 RMC = "GPRMC,{},A,5251.0093,N,00518.8170,E,5.6,230.5,{},1.4,E,A"
 
 
-def log_of(tmp_path, text, date=None):
+def log_of(tmp_path: Path, text: str | bytes, date: dt.date | None = None) -> PositionLog:
     path = tmp_path / "boat.log"
     path.write_bytes(text if isinstance(text, bytes) else text.encode())
     return read_nmea([path], date)
 
 
-def gps(year, month, day, hour, minute, second):
+def gps(year: int, month: int, day: int, hour: int, minute: int, second: float) -> float:
     whole = int(second)
     moment = dt.datetime(year, month, day, hour, minute, whole, tzinfo=dt.UTC)
     return float(gps_from_unix(moment.timestamp())) + (second - whole)
@@ -100,7 +100,7 @@ def test_same_values_as_pynmeagps(data_dir, name):
     log = read_nmea([path])
     ours = list(log.depths[["line", "sentence", "depth_m"]].itertuples(index=False, name=None))
     assert ours == depths
-    epochs = []
+    epochs: list[tuple[dt.time, int, tuple[float, float]]] = []
     for (_, time, rank), where in positions.items():
         if not epochs or epochs[-1][0] != time:
             epochs.append((time, rank, where))
@@ -111,7 +111,7 @@ def test_same_values_as_pynmeagps(data_dir, name):
     assert_allclose(log.positions[["lat_deg", "lon_deg"]], theirs, rtol=0, atol=1e-10)
 
 
-def gpsd_reports(path):
+def gpsd_reports(path: Path) -> list[dict]:
     lines = path.with_suffix(".log.chk").read_text().splitlines()
     return [json.loads(line) for line in lines if line.startswith('{"class":"TPV"')]
 
@@ -312,7 +312,7 @@ def test_chunks_do_not_cut_sentences(tmp_path, monkeypatch):
     assert_array_equal(log.depths["line"], np.arange(1, n + 1))
 
 
-def overlapping_logs(tmp_path, seconds, date, cuts):
+def overlapping_logs(tmp_path: Path, seconds: list[str], date: str, cuts: tuple[int, int]) -> list[Path]:
     """A log cut in two that share a stretch, and the log in one piece; two equal depths a second."""
     depth = nmea("SDDPT,5.3,0.4")
     epochs = [nmea(GGA.format(t)) + (nmea(RMC.format(t, date)) if date else "") + 2 * depth for t in seconds]

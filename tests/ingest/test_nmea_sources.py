@@ -3,6 +3,7 @@
 import datetime as dt
 from functools import reduce
 from operator import xor
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from numpy.testing import assert_allclose
 
 from tests.ingest.writers import nmea
 from thalweg.core import InputError, gps_from_unix
+from thalweg.ingest import PositionLog
 from thalweg.ingest.nmea import read_nmea
 from thalweg.ingest.registry import read_depths
 
@@ -19,39 +21,39 @@ DAY = dt.datetime(2024, 6, 12, tzinfo=dt.UTC).timestamp()
 DEPTH = "SDDPT,3.10,0.0"
 
 
-def clock(second):
+def clock(second: float) -> str:
     return f"{int(second) // 3600:02d}{int(second) % 3600 // 60:02d}{second % 60:05.2f}"
 
 
-def place(second, north_m=0.0):
+def place(second: float, north_m: float = 0.0) -> str:
     """A boat that goes east by 1.5 m a second on latitude 51.05 degrees."""
     return f"{5103 + north_m / 1852:.6f},N,{1345 + (second - START) * 0.00128:012.6f},E"
 
 
-def gga(second, talker="GP", quality=4, north_m=0.0):
+def gga(second: float, talker: str = "GP", quality: int = 4, north_m: float = 0.0) -> str:
     rest = f"{quality},12,0.8,110.000,M,45.000,M,1.0,0001"
     return nmea(f"{talker}GGA,{clock(second)},{place(second, north_m)},{rest}")
 
 
-def rmc(second, date="120624", talker="GP", north_m=0.0):
+def rmc(second: float, date: str = "120624", talker: str = "GP", north_m: float = 0.0) -> str:
     return nmea(f"{talker}RMC,{clock(second)},A,{place(second, north_m)},2.0,90.0,{date},,,R")
 
 
-def void(second, date):
+def void(second: float, date: str) -> str:
     return nmea(f"GPRMC,{clock(second)},V,,,,,,,{date},,,N")
 
 
-def read(folder, text, date=None):
+def read(folder: Path, text: str, date: dt.date | None = None) -> PositionLog:
     path = folder / "boat.nmea"
     path.write_text(text)
     return read_nmea([path], date)
 
 
-def noted(log, *words):
+def noted(log: PositionLog, *words: str) -> bool:
     return any(all(word in note for word in words) for note in log.report.notes)
 
 
-def since_start(log):
+def since_start(log: PositionLog) -> np.ndarray:
     return (log.depths["t_gps_s"] - float(gps_from_unix(DAY + START))).to_numpy()
 
 

@@ -1,5 +1,7 @@
 """PCD clouds: good ones, cut and damaged ones, and what is refused."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
@@ -22,7 +24,7 @@ DATA ascii
 BODY = "1.5 2 3 10 0\n-1 0.5 2.25 20 8\nnan nan nan 0 15\n"
 
 
-def written(tmp_path, text):
+def written(tmp_path: Path, text: str) -> Path:
     path = tmp_path / "a.pcd"
     path.write_text(text)
     return path

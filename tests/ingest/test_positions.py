@@ -1,5 +1,7 @@
 """The sources of positions that a campaign can choose."""
 
+from typing import Any
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -10,10 +12,10 @@ from thalweg.ingest import DEPTH, GNSS_POSITION, INS_STATE
 from thalweg.ingest.registry import choose_tracks, read_depths, read_positions, recognise
 from thalweg.ingest.registry.positions import positions_from_states
 
-NOTHING = {"base": [], "nav": [], "ppk": {}, "base_position": {}}
+NOTHING: dict[str, Any] = {"base": [], "nav": [], "ppk": {}, "base_position": {}}
 
 
-def states():
+def states() -> pd.DataFrame:
     n = 5
     table = pd.DataFrame({name: np.arange(n, dtype=float) for name in INS_STATE.names})
     return table.assign(

@@ -1,6 +1,7 @@
 """PPK inputs, the process border of the engine, and its .pos text: bad input and crashes, no recordings."""
 
 import struct
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -11,14 +12,16 @@ from tests.ingest.writers import sbp
 from thalweg.core import ConfigError, InputError
 from thalweg.ingest import GNSS_POSITION
 from thalweg.ingest.ppk import PpkOptions, replace_covariances, run_ppk
-from thalweg.ingest.ppk.solution import check_settings, run_worker, write_settings
+from thalweg.ingest.ppk.solution import PpkSolution, check_settings, run_worker, write_settings
 from thalweg.ingest.ppk.trust import SIGMA_FLOOR_M, covariance_enu, read_solution
 
 BASE = (-2706105.2018, -4261210.8062, 3885598.6411)
 OPTIONS = PpkOptions(base_ecef_m=BASE, systems=("GPS", "GAL"))
 
 
-def observations(minute=45, systems="GE", position=BASE, n=5):
+def observations(
+    minute: int = 45, systems: str = "GE", position: tuple[float, ...] = BASE, n: int = 5
+) -> bytes:
     text = line(f"{'     3.04':20s}{'OBSERVATION DATA':20s}M", "RINEX VERSION / TYPE")
     text += line("".join(f"{x:14.4f}" for x in position), "APPROX POSITION XYZ")
     text += "".join(line(f"{s}    4 C1C L1C C2S L2S", "SYS / # / OBS TYPES") for s in systems)
@@ -33,7 +36,7 @@ def observations(minute=45, systems="GE", position=BASE, n=5):
     return text.encode()
 
 
-def ephemerides(day=12, systems="GE"):
+def ephemerides(day: int = 12, systems: str = "GE") -> bytes:
     text = line(f"{'     3.04':20s}{'N: GNSS NAV DATA':20s}M", "RINEX VERSION / TYPE") + line(
         "", "END OF HEADER"
     )
@@ -46,7 +49,7 @@ HEARTBEATS = sbp(0xFFFF, bytes(4)) * 5
 ROVER_ONLY = HEARTBEATS + sbp(0x004A, struct.pack("<IiHB", 499514000, 0, 1948, 0x10)) * 3
 
 GOOD = {"rover": observations(), "base": observations(n=9), "nav": ephemerides()}
-BAD_INPUT = [
+BAD_INPUT: list[tuple[str, dict[str, bytes | None], dict[str, object], str]] = [
     ("no overlap", {"base": observations(minute=10)}, {}, "do not overlap in time"),
     ("nav empty file", {"nav": b""}, {}, "the file is empty"),
     ("nav header only", {"nav": ephemerides(systems="")}, {}, "the navigation files hold no ephemeris"),
@@ -98,7 +101,7 @@ BAD_INPUT = [
 ]
 
 
-def run(folder, files, options):
+def run(folder: Path, files: dict[str, bytes | None], options: dict[str, object]) -> PpkSolution:
     paths = {}
     for role, data in {**GOOD, **files}.items():
         if data is not None:
@@ -235,7 +238,7 @@ def test_damaged_solution_is_refused(tmp_path, bad):
         read_solution(path)
 
 
-def noisy(n=61):
+def noisy(n: int = 61) -> pd.DataFrame:
     table = pd.DataFrame({name: np.zeros(n) for name in GNSS_POSITION.names})
     table["fix"] = "fixed"
     table[["sigma_east_m", "sigma_north_m", "sigma_up_m"]] = (0.003, 0.004, 0.01)

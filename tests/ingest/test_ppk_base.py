@@ -4,6 +4,7 @@ import json
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -23,7 +24,7 @@ BASE = ecef_of(*PLACE)
 EAST, NORTH, UP = rotation_ecef_enu(*PLACE[:2]).T
 
 
-def inputs(**more):
+def inputs(**more: Any) -> Any:
     """What the scans of the files would tell: one base whose header has an antenna offset."""
     scan = SimpleNamespace(
         antenna_delta_hen_m=(1.5, 0.25, 0.5), approx_ecef_m=BASE, version="3.04", text=lambda *_: "Piksi"
@@ -33,7 +34,7 @@ def inputs(**more):
     return SimpleNamespace(**(known | times | more))
 
 
-def positions(away_m, fix):
+def positions(away_m: np.ndarray, fix: list[str]) -> pd.DataFrame:
     """Positions so far east, north and up of the base (n, 3), about (flat earth)."""
     lat = PLACE[0] + away_m[:, 1] / 111_250.0
     lon = PLACE[1] + away_m[:, 0] / 70_200.0
@@ -94,7 +95,7 @@ def test_a_header_without_a_position_is_refused():
             _base_position(inputs(base=[scan]), options, Path("base.obs"))
 
 
-def replace_scan(**changes):
+def replace_scan(**changes: Any) -> Any:
     return SimpleNamespace(**(vars(inputs().base[0]) | changes))
 
 
@@ -147,7 +148,7 @@ def test_the_base_is_compared_with_its_own_single_positions():
     assert "could not be checked" in check([])[1][0]
 
 
-def solution():
+def solution() -> PpkSolution:
     """Seven epochs of twenty: four fixed, one float, one single, one of another kind."""
     away = np.outer(np.arange(100.0, 800.0, 100.0), [1.0, 0.0, 0.0])
     table = positions(away, ["fixed"] * 4 + ["float", "single", "dgnss"])

@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from tests.bands import band
-from thalweg.core import ConfigError, InputError, LocalFrame, ThalwegError, write_table
+from thalweg.core import ArrayF, ConfigError, InputError, LocalFrame, ThalwegError, write_table
 from thalweg.core.timescales import week_from_gps
 from thalweg.ingest import GNSS_POSITION
 from thalweg.ingest.ppk import PpkOptions, run_ppk
@@ -24,12 +24,12 @@ FRAME = LocalFrame(lat_deg=37.773497750, lon_deg=-122.417811914, h_ell_m=-6.2480
 START = LocalFrame(lat_deg=35.342058098, lon_deg=139.521986657, h_ell_m=47.5515)  # published start
 
 
-def sbp_options(**kwargs):
+def sbp_options(**kwargs: object) -> PpkOptions:
     base = {} if {"base_ecef_m", "base_source"} & set(kwargs) else {"base_source": "from_sbp"}
     return PpkOptions(elevation_mask_deg=10.0, **base, **kwargs)
 
 
-def enu(positions, frame=FRAME):
+def enu(positions: pd.DataFrame, frame: LocalFrame = FRAME) -> ArrayF:
     return frame.from_geodetic(positions["lat_deg"], positions["lon_deg"], positions["h_ell_m"])
 
 
@@ -80,7 +80,7 @@ def test_sbp_alone(static, record_property):
 def test_consistent_with_the_receiver_epoch_by_epoch(static, sbp, record_property):
     """MsgBaselineNED (0x020C) in fixed mode, read here with struct: another engine on the same signals."""
     data = sbp.read_bytes()
-    onboard = {}
+    onboard: dict[int, tuple[float, float, float]] = {}
     at = -1
     while (at := data.find(b"\x55\x0c\x02", at + 1)) >= 0:
         if at + 30 <= len(data) and data[at + 5] == 22:
@@ -121,7 +121,7 @@ def test_a_shifted_base_shifts_the_answer(static, sbp):
     assert difference.mean(axis=0) == pytest.approx(shift, abs=5e-4)
 
 
-def sigmas_m(positions):
+def sigmas_m(positions: pd.DataFrame) -> ArrayF:
     return np.sqrt(np.diagonal(covariance_enu(positions), axis1=1, axis2=2))
 
 

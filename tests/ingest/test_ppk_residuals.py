@@ -4,6 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from thalweg.core import ArrayF
 from thalweg.ingest.ppk.residuals import CODE_RATIO, PHASE_M, code_factors, phase_factor, read_residuals
 
 WEIGHT = np.array([0.24, 0.2, 0.15, 0.1, 0.06, 0.03, 0.24, 0.2, 0.15, 0.1, 0.06, 0.03])
@@ -11,7 +12,7 @@ GROUPS = np.array(["G1"] * 6 + ["G2"] * 6)
 N = 4096
 
 
-def residuals(code, phase, *, fixed=True):
+def residuals(code: ArrayF, phase: ArrayF, *, fixed: bool = True) -> pd.DataFrame:
     """Residuals of 6 satellites on 2 frequencies; errors (epochs, 12) in units of what the engine takes."""
     n = len(code)
     size = PHASE_M / np.sqrt(WEIGHT)

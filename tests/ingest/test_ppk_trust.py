@@ -15,7 +15,7 @@ KNOWN = (np.ones(1), np.full(1, 4.0))
 """Residuals say that float positions err twice as much as the engine states."""
 
 
-def table(errors_m, fix, sigma_m):
+def table(errors_m: np.ndarray, fix: str, sigma_m: float) -> pd.DataFrame:
     """Positions of a boat on its way, with those errors (n, 3), east, north, up."""
     n = len(errors_m)
     true = np.column_stack([1.5 * np.arange(n), 0.2 * np.arange(n), np.zeros(n)])
@@ -26,14 +26,14 @@ def table(errors_m, fix, sigma_m):
     return out.assign(**sigmas, **dict.fromkeys(("cov_en_m2", "cov_eu_m2", "cov_nu_m2"), 0.0))
 
 
-def errors_m(found):
+def errors_m(found: pd.DataFrame) -> np.ndarray:
     """Errors (n, 3) of positions at whole seconds of the boat's way."""
     k = found["t_gps_s"].to_numpy() - 1e9
     true = np.column_stack([1.5 * k, 0.2 * k, np.zeros(len(k))])
     return FRAME.from_geodetic(found["lat_deg"], found["lon_deg"], found["h_ell_m"]) - true
 
 
-def solution(wrong, off_m, seed=1):
+def solution(wrong: slice, off_m: float, seed: int = 1) -> tuple[pd.DataFrame, pd.DataFrame]:
     """A solution that is fixed to 1 cm but for epochs whose integers are wrong, and its float solution."""
     rng = np.random.default_rng(seed)
     error = 0.01 * rng.standard_normal((N, 3))

@@ -1,6 +1,7 @@
 """PPK from raw observations of the digital twin: short baselines are fixed, one of 100 km never wrongly."""
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -33,12 +34,12 @@ class Run:
     fixed: ArrayB
 
 
-def track(km):
+def track(km: float) -> ArrayF:
     """A boat in waves that far from the base, 1 m/s."""
     return np.column_stack([800.0 * km + S, 600.0 * km + 5 * np.sin(S / 10), -50.0 + 0.05 * np.sin(S / 1.3)])
 
 
-def run(folder, km, seed, receiver=None):
+def run(folder: Path, km: float, seed: int, receiver: Receiver | None = None) -> Run:
     files = [folder / name for name in ("rover.obs", "base.obs", "gps.nav")]
     record_raw_gnss(seed, START_GPS_S + S, track(km), BASE, *files, rover=receiver)
     options = PpkOptions(base_ecef_m=tuple(BASE.origin_ecef_m.tolist()))

@@ -26,7 +26,7 @@ from thalweg.ingest.recorders.sounders import _clock, _ensemble, _gga, _on_gnss_
 WEEK = 2300
 
 
-def report():
+def report() -> IntegrityReport:
     return IntegrityReport(stream="ins", format="log", files=["a.bin"])
 
 
@@ -91,7 +91,7 @@ def test_states_have_the_place_and_the_sigmas_of_their_time():
     assert found["fix"].tolist() == ["fixed", "fixed", "fixed"]  # of two equally near the later one
 
 
-def receiver(number, status, lead_s=0.0):
+def receiver(number: int, status: list[int], lead_s: float = 0.0) -> pd.DataFrame:
     n = len(status)
     t = np.arange(n) * 0.2
     return pd.DataFrame(
@@ -156,7 +156,7 @@ def test_the_filter_tells_sigmas_by_its_covariance():
     assert _filter_sigmas({"XKV1": log["XKV1"]}, 0).empty
 
 
-def dataflash(**more):
+def dataflash(**more: pd.DataFrame) -> dict[str, pd.DataFrame]:
     t = [0.0, 1.0]
     return {
         "GPS": receiver(0, [3, 3]),
@@ -201,7 +201,9 @@ def test_a_dataflash_log_by_hand():
 # ---------------------------------------------------------------- sounders
 
 
-def gga(time=b"120030.50", lat=51.0, lon=13.0, quality=4, **other):
+def gga(
+    time: bytes = b"120030.50", lat: float = 51.0, lon: float = 13.0, quality: int = 4, **other: object
+) -> bytes:
     """A GGA as WinRiver stores it; ``south``, ``west`` as letters, ``lag_s`` to the ensemble."""
     head = bytes(6) + struct.pack("<d", other.get("lag_s", 0.0)) + bytes(6) + other.get("mark", b"\0")
     place = time.ljust(10, b"\0")[:10] + struct.pack("<d", lat) + other.get("north", b"N")

@@ -21,7 +21,7 @@ import yaml
 from tests.conftest import check_whole
 from thalweg.cli import main
 from thalweg.core import InputError
-from thalweg.ingest import fetch_recording, public_recordings, recording_named
+from thalweg.ingest import PublicRecording, fetch_recording, public_recordings, recording_named
 
 FILES = {"sub/depths.csv": b"x,y,depth\n1,2,3\n", "log.bin": bytes(range(256)) * 40}
 
@@ -31,7 +31,7 @@ class Origin(SimpleHTTPRequestHandler):
 
     asked: list[str]
 
-    def do_GET(self):
+    def do_GET(self) -> None:
         self.asked.append(self.path)
         if not self.path.startswith("/cut"):
             return super().do_GET()
@@ -41,7 +41,7 @@ class Origin(SimpleHTTPRequestHandler):
         self.end_headers()
         return self.wfile.write(whole[: len(whole) // 2]) and None
 
-    def log_message(self, *_):
+    def log_message(self, *_: object) -> None:
         pass
 
 
@@ -52,7 +52,7 @@ def origin(tmp_path):
     for path, content in {**FILES, "cut.bin": FILES["log.bin"]}.items():
         (folder / path).parent.mkdir(parents=True, exist_ok=True)
         (folder / path).write_bytes(content)
-    asked = []
+    asked: list[str] = []
     handler = type("Counting", (Origin,), {"asked": asked})
     server = ThreadingHTTPServer(("127.0.0.1", 0), partial(handler, directory=folder))
     threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01}, daemon=True).start()
@@ -64,7 +64,7 @@ def origin(tmp_path):
         gc.collect()
 
 
-def registered(tmp_path, base, files, **more):
+def registered(tmp_path: Path, base: str, files: dict[str, str], **more: object) -> PublicRecording:
     """A recording as a registry states it: texts behind the paths."""
     row = {"what": "two files", "licence": "CC0", "credit": "nobody", "page": "https://x.org", "from": base}
     path = tmp_path / "registry.yaml"
@@ -72,11 +72,11 @@ def registered(tmp_path, base, files, **more):
     return public_recordings(path)["boat/one"]
 
 
-def stated(content, other=""):
+def stated(content: bytes, other: str = "") -> str:
     return f"{len(content)} {hashlib.sha256(content).hexdigest()} {other}".strip()
 
 
-def contents(folder):
+def contents(folder: Path) -> dict[str, bytes]:
     return {p.relative_to(folder).as_posix(): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
 
 

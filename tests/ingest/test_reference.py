@@ -1,5 +1,7 @@
 """Reference clouds of several frames end in the world frame."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
@@ -8,17 +10,18 @@ from pyproj import CRS, Transformer
 
 from thalweg.core import GeometryError, InputError, LazWriter, LocalFrame
 from thalweg.core.las import read_laz
+from thalweg.ingest import IntegrityReport
 from thalweg.ingest.clouds import gather_reference
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
 UTM = CRS(25833)
 
 
-def points(seed, n=200):
+def points(seed: int, n: int = 200) -> np.ndarray:
     return np.random.default_rng(seed).uniform(-50, 50, (n, 3)).round(3)
 
 
-def write(path, xyz, frame):
+def write(path: Path, xyz: np.ndarray, frame) -> Path:
     with LazWriter(path, frame) as writer:
         writer.append(xyz, intensity=np.arange(len(xyz), dtype=np.uint16))
     return path
@@ -57,11 +60,11 @@ def test_local_coordinates_without_a_frame_are_no_map(tmp_path):
         gather_reference([path], tmp_path / "out.laz", FRAME, "EPSG:25833")
 
 
-def gathered(path, tmp_path):
+def gathered(path: Path, tmp_path: Path) -> IntegrityReport:
     return gather_reference([path], tmp_path / "out.laz", FRAME, "EPSG:25833")
 
 
-def write_ply(path, xyz, kind="f8"):
+def write_ply(path: Path, xyz: np.ndarray, kind: str = "f8") -> Path:
     vertex = np.empty(len(xyz), [(axis, kind) for axis in "xyz"])
     for i, axis in enumerate("xyz"):
         vertex[axis] = xyz[:, i]
@@ -72,7 +75,7 @@ def write_ply(path, xyz, kind="f8"):
 MAP = FRAME.to_map(points(7), UTM)
 
 
-def other(code):
+def other(code: int) -> np.ndarray:
     east, north = Transformer.from_crs(25833, code, always_xy=True).transform(MAP[:, 0], MAP[:, 1])
     return np.stack([east, north, MAP[:, 2]], axis=-1)
 

@@ -3,6 +3,8 @@
 import subprocess
 import sys
 import warnings
+from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,20 +15,20 @@ from thalweg.ingest.ppk import describe_rinex
 from thalweg.ingest.ppk.rinex import scan_rinex, whole_records
 
 
-def line(text, label):
+def line(text: str, label: str) -> str:
     return f"{text:60s}{label}\n"
 
 
 def obs_3(
-    n_epochs=5,
+    n_epochs: int = 5,
     *,
-    satellites=("G05", "G08", "E11"),
-    first_s=0,
-    day=12,
-    position=" -2706105.2018 -4261210.8062  3885598.6411",
-    version="     3.04",
-    scale="GPS",
-):
+    satellites: tuple[str, ...] = ("G05", "G08", "E11"),
+    first_s: int = 0,
+    day: int = 12,
+    position: str = " -2706105.2018 -4261210.8062  3885598.6411",
+    version: str = "     3.04",
+    scale: str = "GPS",
+) -> str:
     head = [
         line(f"{version:20s}{'OBSERVATION DATA':20s}M", "RINEX VERSION / TYPE"),
         line("MARK", "MARKER NAME"),
@@ -46,7 +48,7 @@ def obs_3(
     return "".join(head)
 
 
-def obs_2(n_epochs=3, n_sat=14):
+def obs_2(n_epochs: int = 3, n_sat: int = 14) -> str:
     """RINEX 2.11 with seven codes (two lines a satellite) and more than 12 satellites (two list lines)."""
     text = line(f"{'     2.11':20s}{'OBSERVATION DATA':20s}G (GPS)", "RINEX VERSION / TYPE")
     text += line("     7    C1    L1    D1    S1    P2    L2    S2", "# / TYPES OF OBSERV")
@@ -62,7 +64,7 @@ def obs_2(n_epochs=3, n_sat=14):
     return text
 
 
-def nav_3(systems="GG", *, day=12, hour=20):
+def nav_3(systems: str = "GG", *, day: int = 12, hour: int = 20) -> str:
     text = line(f"{'     3.04':20s}{'N: GNSS NAV DATA':20s}M", "RINEX VERSION / TYPE") + line(
         "", "END OF HEADER"
     )
@@ -72,7 +74,7 @@ def nav_3(systems="GG", *, day=12, hour=20):
     return text
 
 
-def write(folder, name, text):
+def write(folder: Path, name: str, text: str | bytes) -> Path:
     path = folder / name
     path.write_bytes(text.encode("latin-1") if isinstance(text, str) else text)
     return path
@@ -184,18 +186,18 @@ def test_damage_of_version_2_is_local(tmp_path):
         assert np.array_equal(np.diff(scan.t_gps_s), [2.0])
 
 
-def odd_3(change):
+def odd_3(change: Callable[[str], str]) -> str:
     """Five epochs of RINEX 3 whose epoch lines are changed."""
     return "".join(change(row) if row[0] == ">" else row for row in obs_3(5).splitlines(keepends=True))
 
 
-def odd_2(change):
+def odd_2(change: Callable[[str], str]) -> str:
     """Five epochs of RINEX 2 whose epoch lines are changed."""
     rows = obs_2(5).splitlines(keepends=True)
     return "".join(change(row) if row.startswith(" 17  5 12") else row for row in rows)
 
 
-def before(k, text, extra):
+def before(k: int, text: str, extra: str) -> str:
     """A text of five epochs with an extra record before epoch k."""
     mark = f" 18 45 {14 + k}.0"
     begin = text.rindex("\n", 0, text.index(mark)) + 1

@@ -4,6 +4,7 @@ import io
 import re
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import dpkt
 import numpy as np
@@ -48,36 +49,38 @@ KIND = {name: number for number, name in FORMAT.items()}
 class Bag:
     """A bag of ROS 1 or 2 that grows by messages."""
 
-    def __init__(self, path, ros=1):
+    def __init__(self, path: Path, ros: int = 1) -> None:
         self.path, self.ros = path, ros
         self.store = get_typestore(Stores.ROS1_NOETIC if ros == 1 else Stores.ROS2_HUMBLE)
         frames = "geometry_msgs/TransformStamped[] transforms"
         self.store.register(get_types_from_msg(frames, "tf2_msgs/msg/TFMessage"))
-        self.writer = Writer1(path) if ros == 1 else Writer2(path, version=9)
+        self.writer: Any = Writer1(path) if ros == 1 else Writer2(path, version=9)
         self.writer.open()
-        self.topics = {}
+        self.topics: dict[str, Any] = {}
 
-    def of(self, name, /, **fields):
+    def of(self, name: str, /, **fields: Any) -> Any:
         if name == "std_msgs/msg/Header" and self.ros == 1:
             fields["seq"] = 0
         return self.store.types[name](**fields)
 
-    def axes(self, name, *values):
+    def axes(self, name: str, *values: float) -> Any:
         """A Vector3, Point or Quaternion."""
         return self.of(f"geometry_msgs/msg/{name}", **dict(zip("xyzw", values, strict=False)))
 
-    def header(self, t_s, frame="body"):
+    def header(self, t_s: float, frame: str = "body") -> Any:
         whole = int(np.floor(t_s))
         stamp = self.of("builtin_interfaces/msg/Time", sec=whole, nanosec=round((t_s - whole) * 1e9))
         return self.of("std_msgs/msg/Header", stamp=stamp, frame_id=frame)
 
-    def say(self, topic, name, message, t_s):
+    def say(self, topic: str, name: str, message: Any, t_s: float) -> None:
         if topic not in self.topics:
             self.topics[topic] = self.writer.add_connection(topic, name, typestore=self.store)
         write = self.store.serialize_ros1 if self.ros == 1 else self.store.serialize_cdr
         self.writer.write(self.topics[topic], round(t_s * 1e9), write(message, name))
 
-    def cloud(self, topic, t_s, rows, *, recorded_s=None, frame="os_lidar"):
+    def cloud(
+        self, topic: str, t_s: float, rows: Any, *, recorded_s: float | None = None, frame: str = "os_lidar"
+    ) -> None:
         """A cloud whose fields are the columns of a structured array; 5 bytes of padding behind each."""
         padded = np.dtype(
             {
@@ -114,7 +117,7 @@ class Bag:
         )
         self.say(topic, "sensor_msgs/msg/PointCloud2", message, recorded_s or t_s)
 
-    def fix(self, t_s, k, *, status=2, topic="/fix", known=3):
+    def fix(self, t_s: float, k: int, *, status: int = 2, topic: str = "/fix", known: int = 3) -> None:
         """A fix; ``known`` of its covariance: 0 nothing, 1 and 2 the variances, 3 all of it."""
         service = self.of("sensor_msgs/msg/NavSatStatus", status=status, service=1)
         cov = np.diag([0.0004, 0.0009, 0.0016])
@@ -132,7 +135,15 @@ class Bag:
         )
         self.say(topic, "sensor_msgs/msg/NavSatFix", message, t_s)
 
-    def imu(self, t_s, xyzw, *, known=True, topic="/imu/data", felt=None):
+    def imu(
+        self,
+        t_s: float,
+        xyzw: tuple[float, ...],
+        *,
+        known: bool = True,
+        topic: str = "/imu/data",
+        felt: tuple[float, ...] | None = None,
+    ) -> None:
         felt = felt or tuple(Rotation.from_quat(xyzw).inv().apply([0.0, 0.0, 9.8]))
         orientation_covariance = np.diag([1e-6, 4e-6, 9e-6]).ravel()
         if not known:
@@ -149,7 +160,9 @@ class Bag:
         )
         self.say(topic, "sensor_msgs/msg/Imu", message, t_s)
 
-    def odometry(self, t_s, place, xyzw, covariance):
+    def odometry(
+        self, t_s: float, place: tuple[float, ...], xyzw: tuple[float, ...], covariance: Any
+    ) -> None:
         pose = self.of(
             "geometry_msgs/msg/Pose",
             position=self.axes("Point", *place),
@@ -166,7 +179,7 @@ class Bag:
         )
         self.say("/odom", "nav_msgs/msg/Odometry", message, t_s)
 
-    def mounting(self, frame, child, shift, xyzw):
+    def mounting(self, frame: str, child: str, shift: tuple[float, ...], xyzw: tuple[float, ...]) -> None:
         step = self.of(
             "geometry_msgs/msg/Transform",
             translation=self.axes("Vector3", *shift),
@@ -181,7 +194,7 @@ class Bag:
         message = self.of("tf2_msgs/msg/TFMessage", transforms=[stamped])
         self.say("/tf_static", "tf2_msgs/msg/TFMessage", message, UNIX_S)
 
-    def depth(self, topic, t_s, metres):
+    def depth(self, topic: str, t_s: float, metres: float) -> None:
         message = self.of(
             "sensor_msgs/msg/Range",
             header=self.header(t_s),
@@ -193,11 +206,11 @@ class Bag:
         )
         self.say(topic, "sensor_msgs/msg/Range", message, t_s)
 
-    def close(self):
+    def close(self) -> Path:
         self.writer.close()
         return self.path if self.ros == 1 else next(self.path.glob("*.db3"))
 
-    def lidar(self, *topics):
+    def lidar(self, *topics: str) -> tuple[Any, Any]:
         """The closed bag's reader of clouds, and its scan."""
         reader = lidar_reader([self.close()], LidarOptions(topics=list(topics)))
         return reader, reader.scan()
@@ -208,7 +221,7 @@ def bag(tmp_path):
     return Bag(tmp_path / "boat.bag")
 
 
-def points(time, kind, values):
+def points(time: str, kind: str, values: list[float]) -> Any:
     """Three points: 10 m ahead, 5 m to the left, none."""
     dtype = [("x", "f4"), ("y", "f4"), ("z", "f4"), ("intensity", "f4"), (time, kind), ("ring", "u2")]
     rows = np.zeros(3, np.dtype(dtype))
@@ -238,7 +251,7 @@ def test_points_without_times_are_told(bag):
     assert "20.0 days ahead of the headers: recorded from a replay" in notes
 
 
-def sweep(time, kind, values, n=20_000):
+def sweep(time: str, kind: str, values: Any, n: int = 20_000) -> Any:
     """A turn of some points in 0.1 s, 10 m ahead."""
     rows = np.zeros(n, np.dtype([("x", "f4"), ("y", "f4"), ("z", "f4"), (time, kind), ("ring", "u2")]))
     rows["x"], rows[time] = 10.0, values

@@ -52,7 +52,7 @@ for name, options in variants.items():
 """
 
 
-def write(path, text):
+def write(path: Path, text: str) -> Path:
     path.write_text(text)
     return path
 
@@ -302,7 +302,7 @@ def test_every_column_of_the_positions_by_hand(tmp_path):
     assert set(found) == set(expected)
 
 
-def epochs(first, n, scale="GPST", step_s=1.0):
+def epochs(first: float, n: int, scale: str = "GPST", step_s: float = 1.0) -> str:
     """A solution of ``n`` epochs from a second of 10:00, moving 1e-6 deg a second north."""
     lines = [HEAD.replace("GPST", scale)]
     for k in range(n):

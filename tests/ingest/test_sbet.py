@@ -8,7 +8,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from pyproj import Geod
 
-from thalweg.core import InputError, ThalwegError, gps_from_week, write_table
+from thalweg.core import ArrayF, InputError, ThalwegError, gps_from_week, write_table
 from thalweg.ingest import INS_STATE
 from thalweg.ingest.tracks import read_sbet
 
@@ -18,7 +18,7 @@ WANDER = np.deg2rad(-25.0)
 SPEED = 2.0
 
 
-def records(n=200, start_s=499513.0, rate_hz=50.0):
+def records(n: int = 200, start_s: float = 499513.0, rate_hz: float = 50.0) -> ArrayF:
     """A boat going straight at 2 m/s on a course of 60 degrees, in the frame of POSPac."""
     t = np.arange(n) / rate_hz
     lon, lat, _ = Geod(ellps="WGS84").fwd(
@@ -36,13 +36,13 @@ def records(n=200, start_s=499513.0, rate_hz=50.0):
     return a
 
 
-def smrmsg(n=5, start_s=499513.0):
+def smrmsg(n: int = 5, start_s: float = 499513.0) -> ArrayF:
     a = np.tile([0.0, 0.01, 0.02, 0.03, 0.1, 0.1, 0.1, 1.0, 2.0, 3.0], (n, 1))
     a[:, 0] = start_s + np.arange(n)
     return a
 
 
-def write(path, array):
+def write(path: Path, array: ArrayF | bytes) -> Path:
     path.write_bytes(array if isinstance(array, bytes) else array.astype("<f8").tobytes())
     return path
 

@@ -1,6 +1,7 @@
 """The SBP reader on synthetic logs: weeks, positions, what is counted."""
 
 import struct
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,50 +9,52 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from tests.ingest.writers import ROVER, files_of, sbp
 from thalweg.core import ecef_of, gps_from_week, rotation_ecef_enu, write_table
-from thalweg.ingest import GNSS_POSITION
+from thalweg.ingest import GNSS_POSITION, PositionLog
 from thalweg.ingest.sbp import base_positions, collect, messages as sm, read_sbp
 
 WEEK = 1948
 TOW = 499_513_400
 
 
-def gps(tow, week=WEEK, flags=1, ns=0, kind=sm.GPS_TIME):
+def gps(tow: int, week: int = WEEK, flags: int = 1, ns: int = 0, kind: int = sm.GPS_TIME) -> bytes:
     return sbp(kind, struct.pack("<HIiB", week, tow, ns, flags))
 
 
-def utc(tow, second, flags=1, ns=400_000_000):
+def utc(tow: int, second: int, flags: int = 1, ns: int = 400_000_000) -> bytes:
     return sbp(sm.UTC_TIME, struct.pack("<BIHBBBBBI", flags, tow, 2017, 5, 12, 18, 44, second, ns))
 
 
-def llh(tow, flags=4, lat=51.0, kind=sm.POS_LLH, sender=ROVER, acc=13):
+def llh(
+    tow: int, flags: int = 4, lat: float = 51.0, kind: int = sm.POS_LLH, sender: int = ROVER, acc: int = 13
+) -> bytes:
     return sbp(kind, struct.pack("<I3dHHBB", tow, lat, 13.5, 150.25, acc, 2 * acc, 9, flags), sender)
 
 
-def cov(tow, flags=4):
+def cov(tow: int, flags: int = 4) -> bytes:
     return sbp(
         sm.POS_LLH_COV, struct.pack("<I3d6fBB", tow, 51.0, 13.5, 150.25, 4, 1, 0.5, 9, -0.25, 16, 9, flags)
     )
 
 
-def obs(tow, week=WEEK, sender=ROVER, signals=2):
+def obs(tow: int, week: int = WEEK, sender: int = ROVER, signals: int = 2) -> bytes:
     body = b"".join(struct.pack("<IiBhBBBBBB", 1, 2, 3, 4, 5, 6, 7, 15, s + 1, 0) for s in range(signals))
     return sbp(sm.OBS, struct.pack("<IiHB", tow, 0, week, 0x10) + body, sender)
 
 
-def event(tow, flags, week=WEEK, pin=3, ns=250_000):
+def event(tow: int, flags: int, week: int = WEEK, pin: int = 3, ns: int = 250_000) -> bytes:
     return sbp(sm.EVENT, struct.pack("<HIiBB", week, tow, ns, flags, pin))
 
 
-def read(tmp_path, *logs):
+def read(tmp_path: Path, *logs: bytes) -> PositionLog:
     return read_sbp(files_of(tmp_path, *logs))
 
 
-def base_of(tmp_path):
+def base_of(tmp_path: Path) -> np.ndarray:
     """Base positions that the log read last states."""
     return base_positions(collect([tmp_path / "log0"]))
 
 
-def t_of(tow, week=WEEK):
+def t_of(tow: int, week: int = WEEK) -> float:
     return float(gps_from_week(week, tow * 1e-3))
 
 
@@ -269,7 +272,7 @@ def test_tables_fit_their_kinds(tmp_path):
     assert any("no position with a fix" in note for note in log.report.notes)
 
 
-def small_log():
+def small_log() -> bytes:
     data = sbp(sm.BASE_ECEF, struct.pack("<3d", -2706105.2, -4261210.8, 3885598.6), 0)
     for k in range(0, 1200, 100):
         data += gps(TOW + k) + utc(TOW + k, 55) + llh(TOW + k) + cov(TOW + k)

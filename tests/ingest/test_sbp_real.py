@@ -2,6 +2,8 @@
 
 import warnings
 from collections import Counter
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,7 +12,8 @@ from sbp.client import Framer
 from sbp.client.drivers.file_driver import FileDriver
 
 from thalweg.core import gps_from_week
-from thalweg.ingest.sbp import base_positions, collect, find_messages, messages as sm, read_sbp
+from thalweg.ingest import PositionLog
+from thalweg.ingest.sbp import SbpRecords, base_positions, collect, find_messages, messages as sm, read_sbp
 
 pytestmark = pytest.mark.real
 
@@ -21,12 +24,13 @@ ROUNDTRIP = "sbp_libsbp_samples/roundtrip.sbp"
 SHORT = "sbp_libsbp_samples/short.sbp"
 
 
-def counts_of(log):
+def counts_of(log: PositionLog) -> dict[str, int]:
     """Messages by type and sender."""
-    return log.report.details["messages by type and sender"]
+    found: dict[str, int] = log.report.details["messages by type and sender"]
+    return found
 
 
-def library(path):
+def library(path: Path) -> list[Any]:
     with path.open("rb") as stream, warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the library stamps each message with a deprecated utcnow()
         return [message for message, _ in Framer(FileDriver(stream).read, None, skip_metadata=True)]
@@ -50,11 +54,11 @@ def rtk_library(rtk_start):
     return library(rtk_start)
 
 
-def expected_fields(messages, kind):
+def expected_fields(messages: list[Any], kind: int) -> dict[str, list[Any]]:
     """Columns of one message type as the library decodes it."""
     names = sm.LAYOUTS[kind].names or ()
     own = {"ns": "ns_residual"} if kind != sm.UTC_TIME else {}
-    out = {name: [] for name in names}
+    out: dict[str, list[Any]] = {name: [] for name in names}
     for m in messages:
         if m.msg_type == kind:
             for name in names:
@@ -66,7 +70,7 @@ def expected_fields(messages, kind):
     return out
 
 
-def same_as_library(records, messages):
+def same_as_library(records: SbpRecords, messages: list[Any]) -> int:
     compared = 0
     for kind in sm.LAYOUTS:
         found = records.of(kind)

@@ -3,6 +3,8 @@
 import math
 import struct
 from functools import partial
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -20,7 +22,7 @@ RADIUS_M = 6_356_752.3142
 UNIX_S = 1_700_000_000
 
 
-def frame(version, at, k, channel, depth_ft, unix):
+def frame(version: int, at: int, k: int, channel: int, depth_ft: float, unix: int) -> bytes:
     size, places = {2: (160, (28, 32, 64, 60, 108, 112, 140)), 3: (184, (8, 12, 48, 40, 92, 96, 124))}[
         version
     ]
@@ -36,7 +38,7 @@ def frame(version, at, k, channel, depth_ft, unix):
     return bytes(out)
 
 
-def sonar_log(version, *, unix=UNIX_S, n=20, blind=2):
+def sonar_log(version: int, *, unix: int = UNIX_S, n: int = 20, blind: int = 2) -> bytes:
     """Two channels a ping; one misses the bottom in every second one."""
     out = bytearray(struct.pack("<HHHH", version, 1, 1970, 0))
     for k in range(n):
@@ -102,7 +104,9 @@ def test_lowrance_without_bottom_is_refused(tmp_path):
         describe(path)
 
 
-def ensemble(k, *, vertical_m, beams_m, heading_deg, quality=4):
+def ensemble(
+    k: int, *, vertical_m: float | None, beams_m: Any, heading_deg: float, quality: int = 4
+) -> bytes:
     """An ensemble at 51 N, 13 W, level, beams of 20 degrees; its clock is 8 h 0 min 2 s behind UTC."""
     fixed = bytearray(59)
     fixed[4] = 0b0000_0001
@@ -166,7 +170,7 @@ def test_slanted_beams_hit_where_they_look(tmp_path):
 def test_a_lost_beam_leaves_the_others(tmp_path):
     """A ping's mean of three beams would lie aside; each of them is a sounding where it hits."""
     path = tmp_path / "river.PD0"
-    whole = {"vertical_m": None, "heading_deg": 0.0}
+    whole: dict[str, Any] = {"vertical_m": None, "heading_deg": 0.0}
     path.write_bytes(ensemble(0, beams_m=4.0, **whole) + ensemble(1, beams_m=(4.0, 0.0, 4.0, 4.0), **whole))
     log = read_pd0([path], TrackOptions())
     assert log.depths["depth_m"].tolist() == [4.0, 0.0]
@@ -181,12 +185,12 @@ def test_an_adcp_without_fixes_is_refused(tmp_path):
         describe(path)
 
 
-def sontek_export(path, *, unit="m", vertical=3.0, **changed):
+def sontek_export(path: Path, *, unit: str = "m", vertical: float = 3.0, **changed: Any) -> Path:
     """Four rows at 1 s, the second without a fix, the third without a bottom; the clock shows local time."""
     scale = {"m": 1.0, "ft": 1 / 0.3048}.get(unit, 1.0)
     depth = np.array([vertical, vertical, 0.0, vertical + 1.0 if vertical else 0.0])
     utc = np.array([235_957.9, 235_958.9, 235_959.9, 0.9])
-    held = {
+    held: dict[str, Any] = {
         "Setup": {"sensorDepth": 0.25 * scale, "Units": {"sensorDepth": unit}},
         "System": {"Time": 790_387_200.0 + 3_605.0 + np.arange(4.0)},  # 2025-01-17 01:00:05 local: UTC + 1 h
         "GPS": {

@@ -113,7 +113,7 @@ def test_an_ins_that_learns_utc_late_says_when_and_by_how_much(tmp_path):
     assert report.timing.resolution_s == 1e-6
 
 
-def rmc(clock):
+def rmc(clock: str) -> str:
     body = f"GPGGA,{clock},5103.000,N,01315.000,E,4,12,0.8,200.0,M,44.0,M,,"
     total = 0
     for letter in body:

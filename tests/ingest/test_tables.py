@@ -1,5 +1,7 @@
 """Tables as people and programs write them: what is read, what is asked, what is counted."""
 
+from pathlib import Path
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -15,7 +17,7 @@ UTM = CRS("EPSG:32633")
 PLACES = np.array([[412000.0, 5650000.0], [412100.0, 5650100.0], [412030.0, 5650200.0]])
 
 
-def write(folder, text, encoding="utf-8"):
+def write(folder: Path, text: str, encoding: str = "utf-8") -> Path:
     path = folder / "table.csv"
     path.write_bytes(text.encode(encoding))
     return path
@@ -106,7 +108,7 @@ REFUSED = {
 }
 
 
-def places_and_depths(path):
+def places_and_depths(path: Path) -> None:
     table = read_text_table(path, bare=("x", "y", "z"))
     table.places(UTM)
     table.numbers(table.find("depth"), "depth")

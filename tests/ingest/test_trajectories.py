@@ -1,6 +1,7 @@
 """Trajectories of other programs: conventions by hand, what is not stated is asked for."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,7 +20,7 @@ T0 = 1_700_000_000
 NOSE_UP, RIGHT_DOWN, HEADING = np.deg2rad([3.0, -2.0, 70.0])
 
 
-def write(kind, path, body_axes):
+def write(kind: str, path: Path, body_axes: str) -> Path:
     """Three poses along the course; rotation of the body with these axes, written out by hand."""
     R = rotation_enu_body(RIGHT_DOWN, NOSE_UP, HEADING) @ BODY_AXES[body_axes].T
     w = 0.5 * np.sqrt(1.0 + np.trace(R))
@@ -40,7 +41,7 @@ def write(kind, path, body_axes):
     return path
 
 
-def reader_of(kind):
+def reader_of(kind: str):
     return next(row.poses for row in POSES if row.kind == kind)
 
 
@@ -122,7 +123,7 @@ SIGMAS = ("  SDEast SDNorth SDHeight  RollSD PitchSD  HdngSD", "   (m) (m) (m) (
 ROW = "2235 300000.{k}00 51.0500000{k} 13.25000000 120.500 0.1 0.2 0.3 1.0 -2.0 359.5"
 
 
-def export(path, *, sigmas=True, header=HEADER):
+def export(path: Path, *, sigmas: bool = True, header: str = HEADER) -> Path:
     more, units = SIGMAS if sigmas else ("", "")
     rows = "\n".join(ROW.format(k=k) + (" 0.01 0.02 0.03 1.2 1.8 6.0" if sigmas else "") for k in range(4))
     path.write_text(header.format(more=more, units=units) + rows + "\n")

@@ -16,7 +16,7 @@ DEG_OF_EAST = 1e-5 / float(
 )
 
 
-def positions(n, fix, sigma_m, east_m=0.0):
+def positions(n: int, fix: str, sigma_m: float, east_m: object = 0.0) -> pd.DataFrame:
     """Epochs of a second at one place, shifted to the east."""
     table = pd.DataFrame({name: np.zeros(n) for name in GNSS_POSITION.names})
     return table.assign(
@@ -25,7 +25,7 @@ def positions(n, fix, sigma_m, east_m=0.0):
     )  # fmt: skip
 
 
-def judged(table, floats, baseline_m, rise_m=0.0, **how):
+def judged(table: pd.DataFrame, floats: pd.DataFrame, baseline_m: float, rise_m: float = 0.0, **how: float):
     given = {"trusted_baseline_km": 20.0, "least_fix_s": 10.0} | how
     n = len(table)
     return trust_fixes(table, floats, 1.0, None, np.full(n, baseline_m), np.full(n, rise_m), **given)

@@ -3,6 +3,7 @@
 import datetime as dt
 import struct
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,7 +21,7 @@ WEEK, FIRST_S = 2300, 100_000.0
 UTC = dt.datetime(1980, 1, 6) + dt.timedelta(weeks=WEEK, seconds=FIRST_S - 18.0)
 
 
-def pvt(k, **other):
+def pvt(k: int, **other: object) -> bytes:
     """Epoch ``k``, a second each: a fixed ambiguity 2 cm apart in the radius, 3 cm in height."""
     utc = UTC + dt.timedelta(seconds=k)
     values = {
@@ -32,14 +33,14 @@ def pvt(k, **other):
     return at_time(UBXMessage("NAV", "NAV-PVT", GET, **(values | other)), k, 6)
 
 
-def at_time(message, k, at):
+def at_time(message: UBXMessage, k: int, at: int) -> bytes:
     """The message's bytes with its time of week, which pyubx2 would turn into a time of day."""
     body = bytearray(message.serialize())
     body[at : at + 4] = struct.pack("<I", round(1e3 * (FIRST_S + k)))
     return summed(body)
 
 
-def summed(body):
+def summed(body: bytearray) -> bytes:
     """A message with a check sum that is right."""
     a = b = 0
     for byte in body[2:-2]:
@@ -48,7 +49,7 @@ def summed(body):
     return bytes(body[:-2]) + bytes([a, b])
 
 
-def log_of(tmp_path, *parts):
+def log_of(tmp_path: Path, *parts: bytes) -> Path:
     path = tmp_path / "receiver.ubx"
     path.write_bytes(b"".join(parts))
     return path
@@ -147,7 +148,7 @@ def test_without_a_week_there_is_no_gps_time(tmp_path):
     assert report.counts["positions_without_week"] == 2
 
 
-def raw_epoch(k, week, *, old=False):
+def raw_epoch(k: int, week: int, *, old: bool = False) -> bytes:
     """A RXM-RAWX without satellites: its time of week is a float64; that of RXM-RAW in milliseconds."""
     if old:
         return at_time(UBXMessage("RXM", "RXM-RAW", GET, week=week, numSV=0), k, 6)

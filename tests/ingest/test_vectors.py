@@ -1,6 +1,7 @@
 """The same lines and areas in every format of a GIS; what is broken is refused with a sentence."""
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +24,7 @@ ISLAND = np.array([[40.0, 8.0], [60.0, 8.0], [60.0, 12.0], [40.0, 12.0]])
 HOLE = np.array([[45.0, 9.0], [46.0, 9.0], [46.0, 10.0]])
 
 
-def placed(corners):
+def placed(corners: np.ndarray) -> np.ndarray:
     """Corners on the map."""
     return corners + ([EAST_M, NORTH_M, 0.0][: corners.shape[1]])
 
@@ -36,7 +37,7 @@ BANKS = GeoDataFrame(
 ISLANDS = GeoDataFrame({"name": ["a"]}, geometry=[shapely.Polygon(placed(ISLAND), [placed(HOLE)])], crs=MAP)
 WGS84 = CRS.from_epsg(4326)
 # DXF has layers instead of properties; KML knows degrees alone
-WRITTEN = {
+WRITTEN: dict[str, Callable[[GeoDataFrame, Path], None]] = {
     "old.geojson": lambda table, path: table.to_file(path),
     "new.geojson": lambda table, path: table.to_crs(WGS84).to_file(
         path, RFC7946="YES", COORDINATE_PRECISION=12
@@ -61,7 +62,7 @@ def test_the_same_lines_in_every_format(tmp_path, name):
     for side, corners in zip(("left", "right"), (LEFT, RIGHT), strict=True):
         (found,) = [xyz for xyz, of in read_vectors(path).on_map(MAP).lines() if side in of.values()]
         assert found == pytest.approx(placed(corners), abs=1e-6)
-    notes = []
+    notes: list[str] = []
     banks, _ = read_bank_lines(path, MAP, None, None, (np.empty((0, 2)), np.empty(0)), notes)
     of = banks.table[banks.table["side"] == "left"]
     assert of["north_m"].max() == pytest.approx(NORTH_M + 22.0, abs=1e-2)
@@ -119,7 +120,7 @@ def test_points_are_a_table(tmp_path):
             assert found.xy_m[order] == pytest.approx(placed(LEFT[:2, :2]), abs=1e-6 if crs else 2e-4)
 
 
-def geojson(path, *geometries, **members):
+def geojson(path: Path, *geometries: object, **members: object) -> Path:
     """A file of these geometries."""
     features = [
         {"type": "Feature", "properties": {"n": k}, "geometry": each} for k, each in enumerate(geometries)
@@ -128,7 +129,7 @@ def geojson(path, *geometries, **members):
     return path
 
 
-def line(*corners):
+def line(*corners: tuple[object, ...]) -> dict[str, object]:
     """A line of GeoJSON."""
     return {"type": "LineString", "coordinates": corners}
 
@@ -219,7 +220,7 @@ def test_a_layer_or_rows_by_name(tmp_path):
         read_vectors(f"{path}?layer")
 
 
-def broken(folder):
+def broken(folder: Path) -> dict[Path, str]:
     """Files that cannot be read, and words of the refusal."""
     (folder / "cut.geojson").write_text('{"type": "FeatureCollection", "features": [{"type": "Feature"')
     (folder / "deep.geojson").write_text("[" * 50_000)

@@ -2,6 +2,7 @@
 
 import datetime as dt
 import struct
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -14,7 +15,7 @@ from thalweg.ingest.photos import container_time, read_image_stamps, write_frame
 MADE = dt.datetime(2026, 5, 12, 9, 30, 7, tzinfo=dt.UTC)
 
 
-def video(path, *, n=25, rate_hz=10.0, made=MADE):
+def video(path: Path, *, n: int = 25, rate_hz: float = 10.0, made: dt.datetime | None = MADE) -> Path:
     """Frames whose grey says their number, 8 a frame."""
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), rate_hz, (96, 64))
     assert writer.isOpened()

@@ -18,7 +18,7 @@ BEGIN_UNIX_S = 1_317_042_651.0
 """2011-09-26T13:10:51Z, by `date -u -d`."""
 
 
-def stamp(second):
+def stamp(second: float) -> str:
     return f"2011-09-26 13:10:{second:012.9f}\n"
 
 

@@ -2,8 +2,11 @@
 
 import binascii
 import struct
+from collections.abc import Callable, Iterator
 from functools import reduce
 from operator import xor
+from pathlib import Path
+from typing import Any
 
 from tests.conftest import check_whole
 from thalweg.core import ThalwegError
@@ -12,24 +15,24 @@ ROVER = 12027
 """A sender of SBP."""
 
 
-def nmea(body):
+def nmea(body: str) -> str:
     """A sentence of NMEA 0183 with its check sum."""
     return f"${body}*{reduce(xor, body.encode()):02X}\r\n"
 
 
-def anpp(packet_id, payload):
+def anpp(packet_id: int, payload: bytes) -> bytes:
     """A packet of an INS of Advanced Navigation."""
     head = bytes([packet_id, len(payload)]) + struct.pack("<H", binascii.crc_hqx(payload, 0xFFFF))
     return bytes([-sum(head) & 0xFF]) + head + payload
 
 
-def sbp(kind, payload, sender=ROVER):
+def sbp(kind: int, payload: bytes, sender: int = ROVER) -> bytes:
     """A message of a receiver of Swift Navigation."""
     body = struct.pack("<HHB", kind, sender, len(payload)) + payload
     return b"\x55" + body + struct.pack("<H", binascii.crc_hqx(body, 0))
 
 
-def files_of(folder, *contents, name="log"):
+def files_of(folder: Path, *contents: bytes | str, name: str = "log") -> list[Path]:
     """Files with these contents, in their order."""
     files = [folder / f"{name}{k}" for k in range(len(contents))]
     for path, data in zip(files, contents, strict=True):
@@ -37,7 +40,9 @@ def files_of(folder, *contents, name="log"):
     return files
 
 
-def read_or_refused(fuzz, path, read, *sources, **how):
+def read_or_refused(
+    fuzz: Any, path: Path, read: Callable[[list[Path]], Any], *sources: bytes, **how: Any
+) -> Iterator[tuple[bytes, Any]]:
     """Damaged files, and what a reader made of each that it did not refuse by a whole message."""
     for data in fuzz.inputs(*sources, **how):
         path.write_bytes(data)

@@ -1,6 +1,7 @@
 """A good campaign of a real survey, whose logs are small dummy files, and a way to spoil it."""
 
 import copy
+from typing import Any
 
 import pytest
 import yaml
@@ -16,7 +17,7 @@ LOGS = {
     "raw/empty.pcap": b"",
 }
 
-GOOD = {
+GOOD: dict[str, Any] = {
     "campaign": {
         "id": "good",
         "title": "A good campaign",
@@ -45,7 +46,7 @@ REMOVE = object()
 """Stands for a key that is taken out."""
 
 
-def patched(changes):
+def patched(changes: dict[str, Any]) -> dict[str, Any]:
     """The good campaign with other values at dotted paths."""
     data = copy.deepcopy(GOOD)
     for dotted, value in changes.items():

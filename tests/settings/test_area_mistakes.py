@@ -1,5 +1,8 @@
 """Mistakes in the area of interest, and in what is made of the reference."""
 
+from pathlib import Path
+from typing import Any
+
 import geopandas as gpd
 import numpy as np
 import pytest
@@ -10,7 +13,7 @@ from thalweg.core import LocalFrame
 from thalweg.settings.load import load_campaign
 from thalweg.settings.messages import CampaignError
 
-TABLE = [
+TABLE: list[tuple[dict[str, Any], str, tuple[str, ...]]] = [
     (
         {"accuracy.area": {"polygon": [[0, 0], [1, 1], [2, 2]]}},
         "accuracy.area.polygon",
@@ -111,7 +114,7 @@ ORIGIN_EAST_NORTH = np.array([377386.9, 5656838.5])
 """About the origin of the campaign of these tests, EPSG:25833."""
 
 
-def drawn(path, shapes, crs="EPSG:25833", **columns):
+def drawn(path: Path, shapes: list[Any], crs: str | None = "EPSG:25833", **columns: list[str]) -> str:
     gpd.GeoDataFrame(columns, geometry=shapes, crs=crs).to_file(path)
     return path.name
 

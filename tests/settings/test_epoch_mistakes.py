@@ -1,5 +1,8 @@
 """What a campaign of epochs may say wrong, and what it brings along."""
 
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 import pytest
 import yaml
@@ -15,7 +18,7 @@ PLACE = {"crs": "EPSG:25833", "origin": {"lat_deg": 51.05, "lon_deg": 13.25, "h_
 MOUNTS = {"lidar": {"phi_deg": -90.0, "lever_ics_m": [0, 0, 0]}, "antenna": {"lever_ics_m": [0.1, 0.0, -0.4]}}
 
 
-def write(folder, name, **sections):
+def write(folder: Path, name: str, **sections: Any) -> None:
     identity = {"id": name, "title": name, **PLACE, **sections.pop("campaign", {})}
     (folder / f"{name}.yaml").write_text(yaml.safe_dump({"campaign": identity, **sections}))
 
@@ -29,7 +32,7 @@ def folder(tmp_path):
     return tmp_path
 
 
-def told(folder):
+def told(folder: Path) -> str:
     with pytest.raises(ConfigError) as caught:
         load_campaigns("change", folder)
     return str(caught.value)

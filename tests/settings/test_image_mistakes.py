@@ -1,5 +1,8 @@
 """What a campaign file may say wrong about photographs of the bank."""
 
+from pathlib import Path
+from typing import Any
+
 import pytest
 import yaml
 
@@ -42,7 +45,7 @@ def test_a_mistake_names_its_place_and_a_cure(logs, mounts, twin, where, words):
     assert mistake.cure
 
 
-def write_campaign(folder, **time_lapse):
+def write_campaign(folder: Path, **time_lapse: Any) -> Path:
     (folder / "photos").mkdir(exist_ok=True)
     for name in ("a.pcap", "b.anpp", "c.pos", "photos/1.JPG", "photos/notes.txt", "gcp_list.txt"):
         (folder / name).write_text("x")

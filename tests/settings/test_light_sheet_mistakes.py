@@ -1,5 +1,8 @@
 """What a campaign file may say wrong about the underwater light-sheet sensor."""
 
+from pathlib import Path
+from typing import Any
+
 import pytest
 import yaml
 
@@ -7,7 +10,7 @@ from thalweg.core import ConfigError
 from thalweg.settings.load import load_campaign
 from thalweg_lab.settings import check_sheet_twin
 
-FILES = {
+FILES: dict[str, list[str]] = {
     "sensor": ["sensor.yaml"],
     "camera_marks": ["camera_marks.csv"],
     "mark_points": ["mark_points.csv"],
@@ -18,7 +21,7 @@ FILES = {
 }
 
 
-def campaign(folder, twin=None, more=None, **changes):
+def campaign(folder: Path, twin: Any = None, more: dict[str, Any] | None = None, **changes: Any) -> Path:
     """A campaign of dummy files; ``None`` takes a key out."""
     for name in ("grid", "panels"):
         (folder / name).mkdir(exist_ok=True)
@@ -28,14 +31,16 @@ def campaign(folder, twin=None, more=None, **changes):
             (folder / name).write_text("x")
     logs = {key: files for key, files in (FILES | changes).items() if files is not None}
     origin = {"lat_deg": 51.05, "lon_deg": 13.25, "h_ell_m": 300.0}
-    data = {"campaign": {"id": "good", "title": "t", "crs": "EPSG:25833", "origin": origin, "seed": 1}}
+    data: dict[str, Any] = {
+        "campaign": {"id": "good", "title": "t", "crs": "EPSG:25833", "origin": origin, "seed": 1}
+    }
     data |= {"twin": twin} if twin else {"logs": {"light_sheet": logs, **(more or {})}}
     path = folder / "good.yaml"
     path.write_text(yaml.safe_dump(data))
     return path
 
 
-def told(path):
+def told(path: Path) -> str:
     with pytest.raises(ConfigError) as caught:
         load_campaign(path)
     return str(caught.value)
@@ -73,7 +78,7 @@ def test_panels_without_their_other_half(tmp_path, key, other):
     assert f"beside logs.light_sheet.{other}" in text
 
 
-def marker_field(folder, *keys):
+def marker_field(folder: Path, *keys: str) -> dict[str, list[str]]:
     """Those keys of a marker field, with dummy files."""
     (folder / "field").mkdir()
     for name in ("camera_field.yaml", "camera_field_marks.csv", "field/1.png", "field/2.png"):

@@ -3,6 +3,7 @@
 import os
 import shutil
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -13,7 +14,7 @@ from thalweg.settings.messages import CampaignError
 GONE = "<removed>"
 
 # (changes at dotted paths, path in the message, fragments of found, expected and cure)
-TABLE = [
+TABLE: list[tuple[dict[str, Any], str, tuple[str, ...]]] = [
     # keys and sections
     ({"campaign.titel": "x"}, "campaign.titel", ("unknown key", "one of id, title", "Did you mean title?")),
     ({"georeferencing.max_range": 9}, "georeferencing.max_range", ("Did you mean max_range_m?",)),
@@ -287,7 +288,7 @@ TABLE = [
 ]
 
 
-def mistakes_of(path):
+def mistakes_of(path: Path) -> CampaignError:
     with pytest.raises(CampaignError) as caught:
         load_campaign(path)
     return caught.value

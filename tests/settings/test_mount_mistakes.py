@@ -1,5 +1,7 @@
 """``mounts.calibration``: what it names is looked into before the first job."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 import yaml
@@ -15,7 +17,7 @@ from thalweg.settings.sections import is_calibration_path
 IDENTITY = {"title": "x", "crs": "EPSG:25833", "origin": {"lat_deg": 51.0, "lon_deg": 13.2, "h_ell_m": 300.0}}
 
 
-def write_boat(path, *names, lever_m=(-0.35, 0.0, -0.25)):
+def write_boat(path: Path, *names: str, lever_m: tuple[float, float, float] = (-0.35, 0.0, -0.25)) -> Path:
     """A calibration with a lidar, an antenna or another block."""
     pose = Rigid(R=rotation_opk(0, -np.pi / 2, 0), shift_m=np.array(lever_m), cov=np.eye(6) * 1e-6)
     parts = []
@@ -45,7 +47,7 @@ def campaigns(tmp_path):
     return write
 
 
-def mistake(path):
+def mistake(path: Path) -> str:
     """The only mistake of a campaign, at the line of its setting."""
     with pytest.raises(CampaignError) as caught:
         load_campaigns(path.stem, path.parent)

@@ -1,12 +1,15 @@
 """What a campaign file may say wrong about the scans of the light-sheet sensor."""
 
+from pathlib import Path
+from typing import Any
+
 import pytest
 import yaml
 
 from tests.settings.test_light_sheet_mistakes import told
 from thalweg.settings.load import load_campaign
 
-SCAN = {
+SCAN: dict[str, Any] = {
     "images": ["wreck"],
     "pulses": ["wreck/pulses.csv"],
     "panel": ["panel.csv"],
@@ -15,7 +18,7 @@ SCAN = {
     "reference": ["wreck.ply"],
     "pairs": ["wreck/pairs.csv"],
 }
-BASIN = {
+BASIN: dict[str, Any] = {
     "sensor": ["sensor.yaml"],
     "camera_marks": ["camera_marks.csv"],
     "mark_points": ["mark_points.csv"],
@@ -24,7 +27,7 @@ BASIN = {
 }
 
 
-def campaign(folder, scans):
+def campaign(folder: Path, scans: Any) -> Path:
     """A basin with all files that the good scan names."""
     (folder / "wreck").mkdir(exist_ok=True)
     (folder / "wreck" / "1.png").write_text("x")

@@ -1,5 +1,8 @@
 """Campaigns without a boat: photographs, a camera that stays, a finished cloud, and what they may lack."""
 
+from pathlib import Path
+from typing import Any
+
 import pytest
 import yaml
 
@@ -12,7 +15,7 @@ FIXED = {"marks": ["marks.csv"], "control_points": ["points.csv"], "interior": [
 CLOUD = {"cloud": ["a.laz"], "reference": ["b.laz"]}
 
 
-def written(folder, logs, **more):
+def written(folder: Path, logs: dict[str, Any], **more: Any) -> Path:
     (folder / "photos").mkdir()
     for name in (*FILES, "photos/a.jpg"):
         (folder / name).write_text(name)

@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from pathlib import Path
 
 RUN = """\
 import sys
@@ -11,7 +12,7 @@ raise SystemExit(main(sys.argv[1:]))
 """
 
 
-def run(*arguments, repository):
+def run(*arguments: str, repository: Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         [sys.executable, "-c", RUN, *arguments], cwd=repository, capture_output=True, text=True, check=False
     )

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -28,14 +29,14 @@ class House:
 
     root: Path
 
-    def command(self, *words):
+    def command(self, *words: str) -> list[str]:
         return [sys.executable, "-m", "snakemake", "--cores", "2", *words]
 
-    def environment(self):
+    def environment(self) -> dict[str, str]:
         # the copy must stand on its own, whatever is installed
         return {**os.environ, "PYTHONPATH": str(self.root / "src")}
 
-    def snakemake(self, *words, check=True):
+    def snakemake(self, *words: str, check: bool = True) -> subprocess.CompletedProcess[str]:
         """Run Snakemake as a fork of `SERVER`, as the command line does but for the imports."""
         server = _server()
         assert server.stdin
@@ -114,7 +115,7 @@ needs (3 s); the tests here start Snakemake seventy times. `test_forked` has the
 
 
 @cache
-def _server():
+def _server() -> subprocess.Popen[str]:
     environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
     command = [sys.executable, "-c", SERVER]
     pipe = subprocess.PIPE
@@ -123,7 +124,7 @@ def _server():
     return server
 
 
-def copy_house(repository, target):
+def copy_house(repository: Path, target: Path) -> House:
     for name in COPIED:
         source = repository / name
         if source.is_dir():
@@ -214,13 +215,13 @@ PROCESSED = (
 """What the processing of the tiny campaign ends in, apart from pictures and pages."""
 
 
-def part(house, names, rules):
+def part(house: House, names: tuple[str, ...], rules: set[str]) -> None:
     """Make some results of the tiny campaign by these rules alone; what other rules make has to be there."""
     targets = [f"results/tiny/{name}" for name in names]
     house.snakemake(*targets, "--config", "campaign=tiny", "--allowed-rules", *sorted(rules))
 
 
-def rule_names(house):
+def rule_names(house: House) -> set[str]:
     """All rules of the workflow."""
     pictures, _ = rows_of(read_yaml(house.root / "workflow/figures.yaml"))
     return {row.rule for row in pictures if row.draw} | {
@@ -230,7 +231,7 @@ def rule_names(house):
     }
 
 
-def wait_for(condition, seconds):
+def wait_for(condition: Callable[[], bool], seconds: float) -> None:
     end = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < end, f"nothing happened in {seconds} s"

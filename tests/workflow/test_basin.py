@@ -29,7 +29,7 @@ def hall(repository, tmp_path_factory, house_builder):
     return house
 
 
-def real_campaign(house, name):
+def real_campaign(house, name: str) -> None:
     """The twin's recordings as files of a real campaign: no twin, no truth."""
     twin = yaml.safe_load((house.root / f"config/campaigns/{NAME}.yaml").read_text())
     sheet = {

@@ -2,11 +2,13 @@
 
 import inspect
 import re
+from collections.abc import Iterator
 from importlib import import_module
+from pathlib import Path
 from typing import get_type_hints
 
 
-def calls(repository):
+def calls(repository: Path) -> Iterator[tuple[str, str, set[str]]]:
     """Each rule or page, ``module:function`` that it names, and the names that it gives."""
     for path in sorted((repository / "workflow/rules").glob("*.smk")):
         text = path.read_text()

@@ -40,13 +40,13 @@ IDENTITY = {
 }
 
 
-def survey(**sections):
+def survey(**sections: object) -> CampaignFiles:
     """A campaign of real logs, whose files are not looked at."""
     campaign = Campaign.model_validate_json(json.dumps({"campaign": IDENTITY, **sections}))
     return CampaignFiles(name="boat", campaigns={"boat": campaign})
 
 
-def names(files):
+def names(files: list[str]) -> list[str]:
     return [name.removeprefix("results/boat/") for name in files]
 
 

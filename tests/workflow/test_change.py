@@ -30,7 +30,7 @@ def changed(house_builder, repository, tmp_path_factory):
     return house.root / FOLDER
 
 
-def write_files(folder):
+def write_files(folder) -> None:
     """A campaign ``files``: two clouds of a slope, 10 cm apart, on a map."""
     rng = np.random.default_rng(1)
     for name, lift in (("a", 0.0), ("b", 0.1)):

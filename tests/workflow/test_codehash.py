@@ -1,5 +1,7 @@
 """The code version of a rule follows the modules that its script reaches, and nothing else."""
 
+from pathlib import Path
+
 import pytest
 
 from thalweg.core import InputError
@@ -20,7 +22,7 @@ FILES = {
 }
 
 
-def versions(root):
+def versions(root: Path) -> dict[str, str]:
     for cached in vars(codehash).values():
         if hasattr(cached, "cache_clear"):
             cached.cache_clear()

@@ -2,6 +2,7 @@
 
 import json
 import re
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -15,7 +16,16 @@ from thalweg.workflow import Measured, fitted, per_rule, predicted, read_costs
 from thalweg.workflow.costs import BESIDE_MB, FLOOR_MB
 
 
-def result(folder, rule, number, *, memory_mb, asked_mb, input_mb=10.0, wall_s=6.0):
+def result(
+    folder: Path,
+    rule: str,
+    number: int,
+    *,
+    memory_mb: float,
+    asked_mb: float,
+    input_mb: float = 10.0,
+    wall_s: float = 6.0,
+) -> None:
     """Provenance of a job with two outputs."""
     meta = {
         "rule": rule,

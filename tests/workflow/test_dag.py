@@ -4,6 +4,7 @@ import os
 import re
 import resource
 import shutil
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import reduce
 
@@ -41,7 +42,7 @@ class Job:
     outputs: tuple[str, ...]
 
 
-def jobs(house, campaign, *targets):
+def jobs(house, campaign: str, *targets: str) -> list[Job]:
     """All jobs of a campaign (or of several, ``[a,b]``) with their files, as a dry run shows them."""
     options = ("--dry-run", "--quiet", "host", "--forceall", "--config", f"campaign={campaign}", "--")
     run = house.snakemake(*options, *targets)
@@ -162,7 +163,7 @@ def of_targets(empty_house):
     return jobs(empty_house, "tiny", *TARGETS, "reproduce")
 
 
-def behind(found, wanted):
+def behind(found: list[Job], wanted: Callable[[Job], bool]) -> list[Job]:
     """The wanted jobs and all whose outputs they need."""
     makers = {name: job for job in found for name in job.outputs}
     seen, queue = list[Job](), [job for job in found if wanted(job)]
@@ -199,7 +200,7 @@ SHARED_SCRIPTS = {"call", "detect_markers", "simulate_field_images"}
 
 def test_every_rule_has_its_script_log_and_code_version(repository):
     scripts = {p.stem for p in (repository / "workflow/scripts").glob("*.py")}
-    used = set()
+    used: set[str] = set()
     for path in sorted((repository / "workflow/rules").glob("*.smk")):
         for text in re.split(r"(?m)^ *rule\b", path.read_text())[1:]:
             script = re.search(r'"\.\./scripts/(\w+)\.py"', text)[1]
@@ -273,7 +274,7 @@ def test_a_season_of_ten_is_planned_in_seconds(empty_house):
     assert after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime < 12
 
 
-def sentences(second):
+def sentences(second: int) -> str:
     """NMEA of one second of a boat that goes north: position and depth."""
     bodies = [
         f"GPGGA,1200{second:02}.00,5104.{1000 + second},N,01315.0000,E,4,12,0.8,300.0,M,0.0,M,1,0",

@@ -100,13 +100,13 @@ def test_what_is_missing_damaged_or_without_a_record_is_told(repository, tmp_pat
     assert found.commands()[0] == "snakemake --cores all --force 'results/study/a b.csv'"
 
 
-def heard(**of):
+def heard(**of: object) -> logging.LogRecord:
     record = logging.LogRecord("snakemake", logging.ERROR, "", 0, "", None, None)
     record.__dict__.update(of)
     return record
 
 
-def failed(job, log):
+def failed(job: int, log: Path) -> logging.LogRecord:
     return heard(event="job_error", jobid=job, rule_name=f"rule_{job}", output=[f"{job}.csv"], log=[str(log)])
 
 

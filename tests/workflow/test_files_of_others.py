@@ -6,6 +6,8 @@ written from the twin's true ground, so that it is known what must come out.
 
 import json
 import shutil
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -39,7 +41,7 @@ COPIED = {f"bathymetry/{name}": f"bathymetry/{name}" for name in SAME} | {
 """Of the tiny campaign, and what the one with files of others calls it."""
 
 
-def write_files(folder, tiny, frame, crs, twin):
+def write_files(folder: Path, tiny: Path, frame: LocalFrame, crs: CRS, twin: TwinConfig) -> None:
     """Sections of soundings between the boat's legs, the true bed as raster, what a drone sees as cloud."""
     rng, scene = np.random.default_rng(5), tiny / "simulation/truth/scene.npz"
     grid, bands, _ = read_raster(tiny / "bathymetry/bed.tif")
@@ -47,7 +49,7 @@ def write_files(folder, tiny, frame, crs, twin):
     centres = grid.centres_m()
     local = frame.from_map(np.column_stack([centres, np.full(len(centres), frame.h_ell_m)]), crs)
 
-    def on_map(places, up_m):
+    def on_map(places: np.ndarray, up_m: np.ndarray) -> np.ndarray:
         return frame.to_map(np.column_stack([places, up_m]), crs)
 
     true = np.full(len(centres), np.nan)
@@ -77,7 +79,7 @@ def others(tiny_house):
     for name, copy in COPIED.items():
         (ours / copy).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(tiny / name, ours / copy)
-    campaign = yaml.safe_load((root / "config/campaigns/tiny.yaml").read_text())
+    campaign: dict[str, Any] = yaml.safe_load((root / "config/campaigns/tiny.yaml").read_text())
     place = {key: campaign["campaign"][key] for key in ("crs", "origin")}
     frame, crs = LocalFrame(**place["origin"]), CRS.from_user_input(place["crs"])
     files = root / "files_of_others"
@@ -113,7 +115,7 @@ def others(tiny_house):
     shutil.rmtree(files)
 
 
-def errors_m(folder, tiny):
+def errors_m(folder: Path, tiny: Path) -> np.ndarray:
     """Differences of the bed from the reference, cell by cell."""
     grid, bands, _ = read_raster(folder / "bathymetry/bed.tif")
     height = bands["height_m"].ravel()

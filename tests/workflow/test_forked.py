@@ -8,6 +8,7 @@ import sys
 from concurrent.futures import ThreadPoolExecutor
 from multiprocessing import get_context
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 from snakemake.benchmark import BenchmarkRecord
@@ -45,7 +46,7 @@ def execute():
     return forked._forking(started, context)
 
 
-def script_of(threads=1, **more):
+def script_of(threads: int = 1, **more: Any) -> Any:
     """What Snakemake knows of a script that it executes."""
     none = dict.fromkeys(("conda_env", "container_img", "env_modules", "shadow_dir", "bench_record"))
     return SimpleNamespace(**none | {"threads": threads, "resources": {"tmpdir": "/scratch"}} | more)
@@ -73,7 +74,7 @@ def test_a_fork_has_a_folder_threads_and_environment_of_its_own(execute, tmp_pat
 def test_on_a_cluster_the_first_job_is_started(tmp_path, monkeypatch):
     """It may be the only one, which a server for others would delay; those after it are forked."""
     monkeypatch.chdir(tmp_path)
-    seen = []
+    seen: list[str] = []
     context = get_context("forkserver")
     execute = forked._forking(lambda script, fname, *, edit: seen.append(fname), context, 1)
     (tmp_path / "second.py").write_text("from pathlib import Path\nPath('ran').write_text('')\n")

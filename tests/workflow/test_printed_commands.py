@@ -7,6 +7,7 @@ import json
 import re
 import runpy
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import laspy
@@ -31,13 +32,13 @@ ORIGIN = {"lat_deg": 51.05, "lon_deg": 13.25, "h_ell_m": 300.0}
 MAP_M = np.array([412_000.0, 5_650_970.0, 150.0])
 
 
-def recordings(folder, tiny, data):
+def recordings(folder: Path, tiny: Path, data: Path) -> None:
     logs = tiny / "simulation/logs"
     for name, copy in (("lidar.pcap", "my.pcap"), ("rover.sbp", "rover.sbp"), ("ins.anpp", "ins.anpp")):
         shutil.copy(logs / name, folder / copy)
 
 
-def raw_gnss(folder, tiny, data):
+def raw_gnss(folder: Path, tiny: Path, data: Path) -> None:
     """Observations of the digital twin and of a base at the printed place."""
     simulate_raw_gnss(
         TwinConfig(size="tiny", gnss={"base_km": 0.05}),
@@ -51,14 +52,14 @@ def raw_gnss(folder, tiny, data):
     )
 
 
-def lidar_and_states(folder, tiny, data):
+def lidar_and_states(folder: Path, tiny: Path, data: Path) -> None:
     shutil.copy(tiny / "simulation/logs/lidar.pcap", folder)
     prepare = runpy.run_path(str(REPOSITORY / "config/campaigns/examples/prepare.py"))
     week = prepare["write_sbet"](tiny / "ingest/ins_states.parquet", folder / "sbet.out")
     assert f"--gps-week {week} " in PRINTED["georeference"]
 
 
-def clouds(folder, tiny, data):
+def clouds(folder: Path, tiny: Path, data: Path) -> None:
     """Two clouds of one ground, on the map."""
     rng = np.random.default_rng(5)
     for name, up_m in (("boat", 0.04), ("tls", 0.0), ("2019", 0.0), ("2021", 0.2)):
@@ -67,7 +68,7 @@ def clouds(folder, tiny, data):
         write_cloud(folder / f"{name}.laz", xyz)
 
 
-def write_cloud(path, xyz_m):
+def write_cloud(path: Path, xyz_m: np.ndarray) -> None:
     header = laspy.LasHeader(point_format=6, version="1.4")
     header.offsets, header.scales = MAP_M, np.full(3, 0.001)
     header.add_crs(CRS.from_epsg(25833))
@@ -79,7 +80,7 @@ def write_cloud(path, xyz_m):
 EAST_M, NORTH_M = 500_000.0, 5_400_000.0
 
 
-def river(folder, tiny, data):
+def river(folder: Path, tiny: Path, data: Path) -> None:
     """Soundings in a zigzag between two banks, points beside its centre line."""
     s = np.arange(0.0, 120.0, 1.0)
     n = 16.0 * (2 / np.pi) * np.arcsin(np.sin(2 * np.pi * s / 40))
@@ -96,13 +97,13 @@ def river(folder, tiny, data):
     pd.DataFrame({"x": EAST_M + s, "y": NORTH_M}).to_csv(folder / "line.csv", index=False)
 
 
-def video(folder, tiny, data):
+def video(folder: Path, tiny: Path, data: Path) -> None:
     from tests.ingest.test_video import video
 
     video(folder / "video.mp4")
 
 
-def bed_through_water(folder, tiny, data):
+def bed_through_water(folder: Path, tiny: Path, data: Path) -> None:
     """Points half a metre below the printed level, seen by four cameras."""
     rng = np.random.default_rng(6)
     places = rng.uniform(0.0, 10.0, (50, 2))
@@ -112,7 +113,7 @@ def bed_through_water(folder, tiny, data):
     pd.DataFrame(cameras).to_csv(folder / "cameras.csv", index=False)
 
 
-def bank(folder, tiny, data):
+def bank(folder: Path, tiny: Path, data: Path) -> None:
     """Eight photographs of the digital twin with the control points that its campaign measured in them."""
     marks = pd.read_csv(tiny / "orientation/control_marks.csv")
     names = sorted(marks["image"].unique())[:8]
@@ -127,12 +128,12 @@ def bank(folder, tiny, data):
         shutil.copy(tiny / "simulation/logs/time_lapse" / name, folder / "photos")
 
 
-def boards(folder, tiny, data):
+def boards(folder: Path, tiny: Path, data: Path) -> None:
     """Ten photographs of a checkerboard by a fisheye (ACFR)."""
     shutil.copytree(data / "acfr_vlp16_camera/data/vlp/images", folder / "photos")
 
 
-def fixed_camera(folder, tiny, data):
+def fixed_camera(folder: Path, tiny: Path, data: Path) -> None:
     """Control points in pictures of a glacier (ICEpy4D), and its lens as a file of Thalweg."""
     assets = data / "icepy4d_belvedere/assets"
     world = pd.read_csv(assets / "targets/target_world.csv")
@@ -144,22 +145,22 @@ def fixed_camera(folder, tiny, data):
     assert main(["import-camera", str(assets / "calib/cam1.txt"), str(folder / "lens.yaml"), *sigmas]) == 0
 
 
-def lens_of_colmap(folder, tiny, data):
+def lens_of_colmap(folder: Path, tiny: Path, data: Path) -> None:
     (folder / "cameras.txt").write_text("1 OPENCV 1600 1200 1295 1294 804 597 -0.06 0.08 4e-4 -3e-4\n")
 
 
-def budget(folder, tiny, data):
+def budget(folder: Path, tiny: Path, data: Path) -> None:
     (folder / "resources").symlink_to(REPOSITORY / "resources")
 
 
-def nothing(folder, tiny, data):
+def nothing(folder: Path, tiny: Path, data: Path) -> None:
     """The command needs no file."""
 
 
 ELSEWHERE = {"run", "align-strips"}
 """Commands that tests/test_wheel.py and tests/lidar/test_strips.py try."""
 
-MADE_FOR = {
+MADE_FOR: dict[str, tuple[Callable[[Path, Path, Path], None], tuple[str, ...]]] = {
     "init": (nothing, ("surveys/config/campaigns/tiny.yaml",)),
     "describe": (recordings, ()),
     "fetch": (nothing, ("river_bottom_interpolator/LICENSE.md",)),

@@ -20,7 +20,7 @@ def progress(repository):
     return module
 
 
-def record(level, message, **more):
+def record(level: int, message: str, **more: object) -> logging.LogRecord:
     made = logging.LogRecord("snakemake", level, "", 0, message, None, None)
     made.__dict__.update(more)
     return made

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 from snakemake.iocontainers import InputFiles, Log, OutputFiles, Params
@@ -26,7 +27,7 @@ class Job:
 
     rule, threads = "several", 1
 
-    def __init__(self, folder, version="new"):
+    def __init__(self, folder: Path, version: str = "new") -> None:
         (folder / "in.txt").write_text("21")
         self.input = InputFiles(fromdict={"number": str(folder / "in.txt")})
         names = dict(zip(("table", "cloud", "pictures"), FINAL, strict=True))
@@ -51,7 +52,7 @@ def several(*, number: Path, table: Path, cloud: Path, pictures: Path, version: 
     cloud.write_text(version * 1000)
 
 
-def found(folder):
+def found(folder: Path) -> dict[str, str]:
     """Texts of all files under final names, without provenance."""
     files = sorted(p for p in (folder / "results").rglob("*") if p.is_file() and ".part-" not in str(p))
     return {
@@ -61,7 +62,7 @@ def found(folder):
     }
 
 
-def whole(version):
+def whole(version: str) -> dict[str, str]:
     return {
         "deep/cloud.laz": version * 1000,
         "pictures/0.png": f"{version} 21",
@@ -70,11 +71,11 @@ def whole(version):
     }
 
 
-def left_over(folder):
+def left_over(folder: Path) -> list[Path]:
     return [p for p in folder.rglob("*") if ".part-" in str(p)]
 
 
-def be_quiet(monkeypatch):
+def be_quiet(monkeypatch: pytest.MonkeyPatch) -> None:
     """No log, no commit asked for, the same threads: what these tests do not look at."""
     monkeypatch.setattr(sys, "excepthook", sys.excepthook)
     monkeypatch.setattr("thalweg.workflow.job._start_log", lambda path: None)
@@ -86,11 +87,11 @@ def be_quiet(monkeypatch):
 _quiet = pytest.fixture(be_quiet, autouse=True)
 
 
-def _dies_at(moment, folder):
+def _dies_at(moment: int, folder: Path) -> None:
     """Run the job, and die as by ``kill -9`` at some access of the file system."""
     seen = 0
 
-    def heard(event, arguments):
+    def heard(event: str, arguments: tuple[Any, ...]) -> None:
         nonlocal seen
         if event.startswith(("open", "os.", "shutil.")) and any(str(folder) in str(a) for a in arguments):
             seen += 1
@@ -117,14 +118,14 @@ def test_a_job_killed_at_any_moment_leaves_whole_outputs_or_none(tmp_path):
     assert run.returncode == 0, run.stderr
 
 
-def kill_at_each_moment():
+def kill_at_each_moment() -> None:
     """At each access of the file system, one after the other; outputs of an earlier run were there before."""
     with pytest.MonkeyPatch.context() as monkeypatch:
         be_quiet(monkeypatch)
         _kill_at_each_moment(Path(sys.argv[1]))
 
 
-def _kill_at_each_moment(tmp_path):
+def _kill_at_each_moment(tmp_path: Path) -> None:
     fork, outcomes = multiprocessing.get_context("fork"), set()
     old, job = tmp_path / "old", tmp_path / "job"
     old.mkdir()
@@ -332,7 +333,7 @@ run_job(main, snakemake)
 """
 
 
-def _workflow(folder):
+def _workflow(folder: Path) -> Path:
     folder.mkdir()
     (folder / "Snakefile").write_text(SNAKEFILE)
     (folder / "first.py").write_text(FIRST)
@@ -340,7 +341,7 @@ def _workflow(folder):
     return folder
 
 
-def _snakemake(folder, *words, environment=None):
+def _snakemake(folder: Path, *words: str, environment: dict[str, str] | None = None) -> subprocess.Popen[str]:
     command = [sys.executable, "-m", "snakemake", "--cores", "1", "--quiet", *words]
     return subprocess.Popen(
         command,
@@ -353,7 +354,7 @@ def _snakemake(folder, *words, environment=None):
     )
 
 
-def _ends_well(run):
+def _ends_well(run: subprocess.Popen[str]) -> None:
     said = run.communicate()[0]
     assert run.returncode == 0, said
 

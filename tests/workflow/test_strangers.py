@@ -104,10 +104,10 @@ def test_xml_is_parsed_in_one_place(repository):
             assert ".fromstring(" not in text, path
 
 
-def picture(width, height, pixels):
+def picture(width: int, height: int, pixels: bytes) -> bytes:
     """PNG, one grey byte a pixel, whose head may promise more than there is."""
 
-    def part(kind, data):
+    def part(kind: bytes, data: bytes) -> bytes:
         return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
 
     head = struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0)

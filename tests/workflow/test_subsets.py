@@ -19,7 +19,7 @@ from thalweg.ingest.nmea import read_nmea
 pytestmark = [pytest.mark.workflow, pytest.mark.real]
 
 
-def printed(page, begin, end):
+def printed(page: Path, begin: str, end: str) -> list[str]:
     """Commands between two headings of a page."""
     return list(commands(page.read_text().split(begin)[1].split(end)[0]))
 
@@ -142,7 +142,7 @@ def test_an_empty_folder_apart_from_the_checkout(yacht, tmp_path, monkeypatch):
     assert not (yacht.root / "results/away").exists()
 
 
-def write_gpx(log, target):
+def write_gpx(log: Path, target: Path) -> None:
     """The yacht's positions as a plotter would export them (GPX 1.1); its depths stay in the log."""
     rows = read_nmea([log]).positions.dropna(subset=["t_gps_s", "h_ell_m"]).drop_duplicates("t_gps_s")
     points = "".join(

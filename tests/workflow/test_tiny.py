@@ -9,6 +9,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import laspy
 import numpy as np
@@ -73,18 +74,18 @@ OF_RIG = {"plot_rig_residuals", "plot_rig_field"}
 """Pictures of the calibration of the rig, which rests on no survey."""
 
 
-def dry_run(house, campaign):
+def dry_run(house, campaign: str) -> str:
     """What Snakemake says it would do."""
     run = house.snakemake("--dry-run", "--config", f"campaign={campaign}")
     return run.stdout + run.stderr
 
 
-def planned(house):
+def planned(house) -> set[str]:
     """Rules of the tiny campaign that a dry run would execute."""
     return counted(dry_run(house, "tiny"))
 
 
-def counted(text):
+def counted(text: str) -> set[str]:
     """Rules in Snakemake's table of jobs, without those that follow from every picture."""
     table = re.search(r"(?ms)^job\s+count\n-.*?\n(.*?)^total", text)
     if table is None:
@@ -94,7 +95,7 @@ def counted(text):
     return rules - {"front_page", "survey_report"} or rules
 
 
-def edited(house, module, addition):
+def edited(house, module: str, addition: str):
     """Append a statement to a module, and give back a function that undoes it."""
     path = house.root / "src/thalweg" / module
     before = path.read_text()
@@ -419,7 +420,7 @@ georeferencing: {{export_map: false}}
 """
 
 
-def examples(root):
+def examples(root: Path) -> dict[str, Any]:
     """Functions of the script that makes the examples ready."""
     return runpy.run_path(str(root / "config/campaigns/examples/prepare.py"))
 
@@ -435,7 +436,7 @@ OF_SOURCE = {
 """What is made of the survey by each source of positions: what depends on them. The rest is planned."""
 
 
-def write_survey(house, source, more=""):
+def write_survey(house: House, source: str, more: str = "") -> None:
     """The campaign file ``boat_<source>``: the twin's logs as files, with positions of one source."""
     logs = house.root / BASE / "simulation/logs"
     text, camera = BOAT, ""
@@ -509,7 +510,7 @@ def test_logs_of_a_survey_go_the_same_way(surveys, source):
         assert n == pytest.approx(reader.header.point_count, rel=0.01)
 
 
-def check_chains(base):
+def check_chains(base: Path) -> None:
     """Points of the clouds by INS, camera and all sensors."""
     chains = pd.read_csv(base / "accuracy/chains.csv")
     (cloud,) = chains[(chains["of"] == "shots of the lidar") & (chains["quantity"] == "in_cloud")].to_dict(
@@ -756,7 +757,7 @@ QUICK = {"validate_bed"}
 """What `make test` runs alone; `make test-slow` all rules."""
 
 
-def stamps(folder):
+def stamps(folder: Path) -> dict[str, tuple[int, int]]:
     """Each file of a folder with its size and time."""
     return {
         path.relative_to(folder).as_posix(): (path.stat().st_size, path.stat().st_mtime_ns)
@@ -765,7 +766,7 @@ def stamps(folder):
     }
 
 
-def within(name, outputs):
+def within(name: str, outputs: set[str]) -> bool:
     """Whether a file is one of these, or lies in a folder that is one."""
     return not outputs.isdisjoint([name, *(parent.as_posix() for parent in Path(name).parents)])
 

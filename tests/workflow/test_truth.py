@@ -3,6 +3,7 @@
 import contextlib
 import json
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -48,7 +49,7 @@ def truth(tmp_path_factory):
     return folder
 
 
-READERS = {
+READERS: dict[str, Callable[[Path], Any]] = {
     "trajectory": lambda truth: Trajectory.read(truth / "trajectory.parquet"),
     "any Parquet": lambda truth: read_parquet(truth / "trajectory.parquet"),
     "NumPy": lambda truth: np.load(truth / "scene.npz"),
@@ -74,7 +75,7 @@ class Job:
 
     threads = 1
 
-    def __init__(self, folder, rule, *, scene, **params):
+    def __init__(self, folder: Path, rule: str, *, scene: Path, **params: object) -> None:
         self.rule = rule
         self.input = InputFiles(fromdict={"scene": str(scene)})
         self.output = OutputFiles(fromdict={"result": str(folder / "out.txt")})
