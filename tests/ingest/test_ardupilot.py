@@ -1,6 +1,7 @@
 """Logs of ArduPilot: made here message by message, and real ones beside pymavlink's own counts."""
 
 import struct
+from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
