@@ -91,10 +91,10 @@ class MappingSettings(Section):
     )
     method: Literal["auto", "incremental", "global"] = Field(
         default="auto",
-        description="`auto`: all images from their poses by trajectory, clock and mount, adjusted together in "
-        "a time linear in their number; image by image where fewer than four fifths of the images have such a "
-        "pose, and where images and predicted poses contradict each other as a whole; `incremental`: image by "
-        "image; `global`: all at once, less patient with weak blocks",
+        description="`auto`: all images from their poses by trajectory, clock and mount, adjusted together, "
+        "in a time linear in their number; as `incremental` where fewer than four fifths have such a pose, and "
+        "where images and predicted poses contradict each other as a whole; `incremental`: image by image; "
+        "`global`: all at once, less patient with weak blocks",
     )
     interior: Literal["auto", "estimated", "fixed"] = Field(
         default="auto",
