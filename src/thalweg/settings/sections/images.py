@@ -92,7 +92,7 @@ class MappingSettings(Section):
     method: Literal["auto", "incremental", "global"] = Field(
         default="auto",
         description="`auto`: all images from their poses by trajectory, clock and mount, adjusted together, "
-        "in a time linear in their number; as `incremental` where fewer than four fifths have such a pose, and "
+        "in a time linear in their number; as `incremental` where less than four fifths have such a pose, or "
         "where images and predicted poses contradict each other as a whole; `incremental`: image by image; "
         "`global`: all at once, less patient with weak blocks",
     )
