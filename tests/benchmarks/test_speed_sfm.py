@@ -77,10 +77,14 @@ import numpy as np
 from tests.images.voyage_scene import voyage
 from thalweg.images.sfm.mapping import map_images
 
-n, predicted = int(sys.argv[1]), sys.argv[2] == "predicted"
+from thalweg.settings.sections import MappingSettings
+
+n = int(sys.argv[1])
 scene = voyage(n, gross=n // 100)
 begin = time.process_time()
-mapped = map_images(scene.matches, predictions=scene.predictions if predicted else None)
+mapped = map_images(
+    scene.matches, predictions=scene.predictions, settings=MappingSettings(method=sys.argv[2])
+)
 print(json.dumps({
     "features": float(np.diff(scene.matches.start).mean()), "s": time.process_time() - begin,
     "marks": len(mapped.pieces[0].mark_image), "images": len(mapped.pieces[0].images),

@@ -73,8 +73,12 @@ _STEPS: Final = 10
 """Steps of the adjustment in each of these rounds; the last one goes on until it stands still."""
 _SUPPORT: Final = 0.5
 """Share of its tracks that an image keeps at least, in units of the median: else its prediction is wrong."""
+_NEAR: Final = 0.3
+"""Depth, in units of the median, below which a point takes no part before the poses are nearly right."""
 _AGREEMENT: Final = 0.9
 """See `_agreement`: 0.99 and more of right blocks, 0.6 where predictions are wrong as a whole."""
+_KEPT: Final = 0.8
+"""Median share of their tracks that images keep at least: 1.0 in right blocks, 0.5 to 0.9 in wrong ones."""
 _PREDICTED: Final = 0.8
 """Share of the images that must have a prediction, and of those joined by pairs that must get a pose."""
 
@@ -253,7 +257,7 @@ def impossible_lens(camera: Camera) -> str:
 
 
 def _starts_from_predictions(matches: Matches, predictions: ImagePoses | None, use: MappingSettings) -> bool:
-    if use.method != "auto" or predictions is None:
+    if use.method != "predicted" or predictions is None:
         return False
     known = dict(zip(predictions.images, predictions.oriented, strict=True))
     share = np.mean([known.get(matches.pictures[k].name, False) for k in matches.order])
@@ -297,9 +301,6 @@ def _predicted(
         o.get_global_bundle_adjustment(),
     )
     limit_px = options.filter_max_reproj_error
-    for key in keys:
-        if model.image(key).has_pose:
-            mapper.triangulate_image(intersection, key)
     ceres = adjustment.ceres
     ceres.loss_function_type = pc.LossFunctionType.CAUCHY
     # a strip is sparse at any length
@@ -311,14 +312,24 @@ def _predicted(
         ceres.solver_options.max_num_iterations = _STEPS if factor > 1 else 5 * _STEPS
         intersection.merge_max_reproj_error = intersection.complete_max_reproj_error = factor * limit_px
         options.filter_max_reproj_error = factor * limit_px
+        # anew in each round: only the last one takes points near a camera, the false of which hold its pose
+        for point in sorted(model.point3D_ids()):
+            mapper.observation_manager.delete_point3D(point)
+        for key in keys:
+            if model.image(key).has_pose:
+                mapper.triangulate_image(intersection, key)
         mapper.complete_and_merge_tracks(intersection)
         mapper.retriangulate(intersection)
+        if factor > 1:
+            for point in _near(model, matches):
+                mapper.observation_manager.delete_point3D(point)
         mapper.adjust_global_bundle(options, adjustment)
         mapper.filter_points(options)
         posed = [key for key in keys if model.image(key).has_pose]
         share = np.array([model.image(key).num_points3D / max(tracks[key - 1], 1) for key in posed])
+        middle = float(np.median(share))
         for key, part in zip(posed, share.tolist(), strict=True):
-            if part < _SUPPORT * np.median(share):
+            if part < _SUPPORT * middle:
                 mapper.observation_manager.deregister_frame(key)
                 contradicted.append(key)
         while factor > _LIMITS[-1]:
@@ -333,7 +344,7 @@ def _predicted(
     agreement = _agreement(model, matches)
     component = _components(len(matches.pictures), matches.pairs[matches.n_common >= use.min_inliers])
     few = model.num_reg_images() < _PREDICTED * (component == 0).sum()
-    if few or agreement < _AGREEMENT:
+    if few or agreement < _AGREEMENT or middle < _KEPT:
         notes.append(
             f"images and predicted poses contradict each other ({model.num_reg_images()} of {len(keys)} "
             f"images got a pose, {100 * agreement:.0f} % of the common points agree): put together image by "
@@ -486,6 +497,18 @@ def _tracks(model: Any, matches: Matches) -> tuple[list[int], ArrayI, ArrayI, Ar
     ]
     image, feature, point = np.array(rows, np.int64).reshape(-1, 3).T
     return ids, image, feature + matches.start[image], point
+
+
+def _near(model: Any, matches: Matches) -> list[int]:
+    """COLMAP's numbers of points that some image has at less than `_NEAR` of the median depth."""
+    ids, image, _, point = _tracks(model, matches)
+    if not ids:
+        return []
+    poses = {k: model.image(k + 1).cam_from_world().matrix()[2] for k in np.unique(image).tolist()}
+    axis = np.array([poses[k] for k in image.tolist()])
+    xyz = np.array([model.point3D(p).xyz for p in ids])
+    depth = np.sum(axis[:, :3] * xyz[point], axis=1) + axis[:, 3]
+    return [ids[k] for k in np.unique(point[depth < _NEAR * np.median(depth)])]
 
 
 def _agreement(model: Any, matches: Matches) -> float:
