@@ -43,7 +43,7 @@ def voyage(
     the gross ones by 5 m or 20 degrees.
     """
     rng = np.random.default_rng(seed)
-    t, m = np.arange(n) * 1.0, DENSITY * (n + 30)
+    t, m = np.linspace(0.0, n - 1.0, n), DENSITY * (n + 30)
     C = np.stack([t, 2 * np.sin(t / 6.4) + 0.3 * np.sin(t), 1.5 + 0.05 * np.cos(0.7 * t)], axis=1)
     yaw = 0.03 * np.sin(1.3 * t) - 0.08 * np.sin(t / 6.4 + 1)
     turns = np.stack([yaw, 0.02 * np.sin(2 * t), 0.03 * np.cos(1.7 * t)], axis=1)

@@ -124,7 +124,7 @@ def map_images(
             notes.append(f"structure from motion on a graphics card (images.device: {device})")
         used = 1 if use.repeatable else max(1, threads)
         models: list[Any] = []
-        if _starts_from_predictions(matches, predictions, use):
+        if predictions is not None and _starts_from_predictions(matches, predictions, use):
             models = _predicted(folder, matches, predictions, use, used, on_gpu, notes)
         if use.method == "global":
             models = _global(folder, matches, use, used, on_gpu)
@@ -256,8 +256,8 @@ def impossible_lens(camera: Camera) -> str:
     return ""
 
 
-def _starts_from_predictions(matches: Matches, predictions: ImagePoses | None, use: MappingSettings) -> bool:
-    if use.method != "predicted" or predictions is None:
+def _starts_from_predictions(matches: Matches, predictions: ImagePoses, use: MappingSettings) -> bool:
+    if use.method != "predicted":
         return False
     known = dict(zip(predictions.images, predictions.oriented, strict=True))
     share = np.mean([known.get(matches.pictures[k].name, False) for k in matches.order])
