@@ -74,58 +74,38 @@ MAPPER = (
     turns.MEASURES
     + """
 import numpy as np
-from thalweg.core.camera import Camera
-from thalweg.images.sfm.colmap import start_given
-from thalweg.images.model.files import Picture
+from tests.images.voyage_scene import voyage
 from thalweg.images.sfm.mapping import map_images
-from thalweg.images.sfm.matching import Matches
 
-n, rng = int(sys.argv[1]), np.random.default_rng(1)
-camera = Camera(model="perspective", size_px=(4590, 3440),
-                parameters=np.array([3700.0, 3700, 2295, 1720, 0, 0, 0, 0, 0]))
-# a boat 20 m off the bank, an image a metre, with steps of half a metre to and from the bank
-centre = np.stack([np.arange(n) * 1.0, 0.3 * np.sin(np.arange(n)), 0.5 * np.cos(0.7 * np.arange(n))], axis=1)
-points = np.stack([rng.uniform(-15, n + 15, 120 * (n + 30)), rng.uniform(-6, 3, 120 * (n + 30)),
-                   rng.uniform(18, 24, 120 * (n + 30))], axis=1)
-seen = []
-for k in range(n):
-    xy = camera.project(points - centre[k])
-    inside = np.flatnonzero(((xy > 0) & (xy < camera.size_px)).all(axis=1))
-    # a place is found again for some metres, and not always
-    inside = inside[(np.abs(points[inside, 0] - centre[k, 0]) < 12) & (rng.random(len(inside)) < 0.3)]
-    seen.append((inside, xy[inside] + 0.4 * rng.standard_normal((len(inside), 2))))
-pairs = np.array([(a, b) for a in range(n) for b in range(a + 1, min(a + 11, n))])
-common = [np.column_stack(np.intersect1d(seen[a][0], seen[b][0], return_indices=True)[1:]) for a, b in pairs]
-start = np.concatenate([[0], np.cumsum([len(s[0]) for s in seen])])
-place = np.concatenate([np.column_stack([xy, np.full(len(xy), 2.0)]) for _, xy in seen]).astype(np.float32)
-matches = Matches(
-    pictures=tuple(Picture(name=f"{k:04d}.jpg", size_px=camera.size_px) for k in range(n)),
-    order=np.arange(n), starts=(start_given(camera),), camera=np.zeros(n, np.int64), start=start, place=place,
-    pairs=pairs, n_matches=np.array([len(c) for c in common]), config=np.full(len(pairs), 2),
-    geometry=np.full((len(pairs), 4, 3, 4), np.nan),
-    pair_start=np.concatenate([[0], np.cumsum([len(c) for c in common])]),
-    common=np.concatenate(common).astype(np.uint32), facts={"max_size_px": 3200, "notes": []},
-)
+from thalweg.settings.sections import MappingSettings
+
+n = int(sys.argv[1])
+scene = voyage(n, gross=n // 100)
 begin = time.process_time()
-mapped = map_images(matches)
+mapped = map_images(
+    scene.matches, predictions=scene.predictions, settings=MappingSettings(method=sys.argv[2])
+)
 print(json.dumps({
-    "features": float(np.diff(start).mean()), "s": time.process_time() - begin,
+    "features": float(np.diff(scene.matches.start).mean()), "s": time.process_time() - begin,
     "marks": len(mapped.pieces[0].mark_image), "images": len(mapped.pieces[0].images),
-    "peak_mb": 1000 * peak_gb(),
+    "peak_mb": 1000 * peak_gb(), "notes": mapped.facts["notes"],
 }))
 """
 )
 
 
-@pytest.mark.parametrize("images", [40, 80, 160])
-def test_time_of_the_mapper(images: int) -> None:
+@pytest.mark.parametrize(
+    ("images", "start"),
+    [(n, "predicted") for n in (80, 160, 320, 640, 1025)] + [(n, "incremental") for n in (80, 160, 320)],
+)
+def test_time_of_the_mapper(images: int, start: str) -> None:
     """How the time of the one job that cannot be dealt out grows with the number of images."""
     run = subprocess.run(
-        [sys.executable, "-c", MAPPER, str(images)], capture_output=True, text=True, check=True
+        [sys.executable, "-c", MAPPER, str(images), start], capture_output=True, text=True, check=True
     )
     found = json.loads(run.stdout)
     print(
-        f"{images} images of {found['features']:.0f} features: {found['s']:.0f} s, {found['marks']} marks, "
-        f"{found['peak_mb']:.0f} MB"
+        f"{images} images of {found['features']:.0f} features, {start}: {found['s']:.0f} s, "
+        f"{found['marks']} marks, {found['peak_mb']:.0f} MB {found['notes']}"
     )
     assert found["images"] == images
