@@ -38,11 +38,6 @@ def test_residuals_are_split_along_and_across_the_radius() -> None:
     assert titles[1] == "front lens, tangential, rms 0.000 px"
 
 
-def row(**changes: object) -> pd.Series:
-    given = {"width_px": 64, "mode": "depth", "heading_deg": 90.0}
-    return pd.Series(given | {"sigma_east_m": 0.03, "sigma_north_m": 0.04} | changes)
-
-
 def test_marks_of_the_field_lie_where_their_angles_say() -> None:
     lens = np.array([40.0, 40.0, 70.0, 60.0, 0, 0, 0, 0])
     cameras = {

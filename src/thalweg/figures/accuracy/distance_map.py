@@ -209,7 +209,7 @@ def _draw_reference(ax: Axes, caster: RayCaster, piece: Strip, width_px: int = 1
     light = np.clip(hits.normal @ (_LIGHT / np.linalg.norm(_LIGHT)), 0.0, 1.0)
     grey = np.where(hits.primitive >= 0, 0.62 + 0.33 * light, 1.0).reshape(height_px, width_px)
     box = (*piece.along_m, piece.up_slope_m[1] - height_px * pixel, piece.up_slope_m[1])
-    ax.imshow(grey, extent=box, cmap="gray", vmin=0, vmax=1, interpolation="antialiased", gid="reference")
+    ax.imshow(grey, extent=box, cmap="gray", vmin=0, vmax=1, interpolation="antialiased")
 
 
 def _draw_cells(

@@ -99,7 +99,6 @@ def _panel(ax: Axes, part: pd.DataFrame, positions: Sequence[int], unit: str) ->
             ms=3.5,
             lw=1.1,
             label=f"{number} position{'s' if number > 1 else ''}",
-            gid=f"positions-{number}",
         )
     published = factor * np.array(dict(PUBLISHED)[unit])
     ax.axhspan(

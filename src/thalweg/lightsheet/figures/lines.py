@@ -180,11 +180,11 @@ def _profiles(
         fit = rows.iloc[0]
         x, reach = float(fit["x_px"]), 0.8 * _BESIDE * float(fit["width_px"])
         x_px = np.arange(max(int(x - reach), 0), min(int(x + reach) + 1, green.shape[1]))
-        dots(ax, x_px + 0.5, green[at, x_px], colour, marker, label=f"{row} {at}", gid="profile")
+        dots(ax, x_px + 0.5, green[at, x_px], colour, marker, label=f"{row} {at}")
         fine = np.linspace(x_px[0], x_px[-1] + 1.0, 200)
-        ax.plot(fine, gauss_row(fine - x, fit), color=colour, ls=style, lw=1.2, gid="curve")
+        ax.plot(fine, gauss_row(fine - x, fit), color=colour, ls=style, lw=1.2)
         for place in last["x_px"][(last["y_px"] - at - 0.5).abs() < 0.5]:
-            ax.axvline(place, color=colour, lw=0.8, ls=style, gid="place")
+            ax.axvline(place, color=colour, lw=0.8, ls=style)
     ax.set_ylim(0.0, None)
     ax.set_title(f"b: {len(_PROFILE_STYLES)} adjacent {row}s")
     ax.legend(loc="upper left", handlelength=1.0)
@@ -264,7 +264,7 @@ def line_patch(image: AnyArray, points: pd.DataFrame, *, title: str = "Line meas
         (axes[2], left_over, Normalize(-largest, largest), DISTANCE_MAP, "c: what is left"),
     ):
         ax.imshow(values, cmap=colours, norm=norm, extent=extent, aspect="equal", gid=words[0])
-        ax.axvline(x, color=VERMILION, lw=1.0, gid="place")
+        ax.axvline(x, color=VERMILION, lw=1.0)
         ax.set(xlabel=f"{across} / px", ylabel=f"{along} / px" if ax is axes[0] else "")
         ax.set_title(words)
         ax.yaxis.set_major_locator(MaxNLocator(5, integer=True))
@@ -351,7 +351,6 @@ def sheet_image(image: AnyArray, points: pd.DataFrame, *, title: str = "Laser li
                     marker,
                     ms=size,
                     label=f"{words}: {count(len(mine))}",
-                    gid=f"flag {flag}",
                     zorder=3,
                 )
     right.set_xlim(x0, x0 + side)

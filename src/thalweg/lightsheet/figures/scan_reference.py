@@ -188,7 +188,7 @@ def scan_reference(
     shown = used.iloc[:: max(1, -(-len(used) // _MOST_POINTS))]
     number, shades = line_numbers(shown["file"])
     xyz = _MM_PER_M * shown[["x_m", "y_m", "z_m"]].to_numpy() + _ABOVE_MM * VIEW.axes[2]
-    spots(scan, *pair(VIEW.apply(xyz)[0].T), shades.to_rgba(number), s=0.7, gid="scan", zorder=3)
+    spots(scan, *pair(VIEW.apply(xyz)[0].T), shades.to_rgba(number), s=0.7, zorder=3)
     for ax, colour, words in ((reference, heights, "z / mm"), (scan, shades, "number of the line")):
         figure.colorbar(colour, ax=ax, label=words, location="bottom", aspect=30, pad=0.02, shrink=0.8)
     reference.set_title("b: reference; axes 25 mm long")
@@ -201,7 +201,6 @@ def _photo(ax: Axes, photo: AnyArray, extent_mm: tuple[float, float, float, floa
     ax.imshow(
         np.clip(bright, 0.0, 1.0) ** BRIGHTENING,
         extent=extent_mm,
-        gid="photo",
         aspect="equal",
         cmap="gray" if bright.ndim == 2 else None,
     )
