@@ -58,13 +58,6 @@ def test_strips_cover_the_bank_at_one_scale(rng):
     assert len(strips(bank[:, ::-1])) == 1
 
 
-def test_numbers_do_not_depend_on_thinning(made):
-    every = distance_map(made.table, made.mesh, made.frame)
-    some = distance_map(made.table, made.mesh, made.frame, max_points=2_000)
-    assert every.get_suptitle() == some.get_suptitle()
-    assert by_gid(every, "end-right")[0].get_text() == by_gid(some, "end-right")[0].get_text()
-
-
 def test_nothing_compared_is_refused(made):
     with pytest.raises(CoverageError, match=r"none of 20000 points was compared.*accuracy\.area"):
         compared(made.table.assign(used=False))

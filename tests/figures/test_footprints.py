@@ -39,13 +39,6 @@ def test_the_patch_is_seen_along_its_beams(frame):
     assert not patch.inside[: 2 * 81 * 21].any()
 
 
-def test_three_milliradians_are_nine_centimetres_at_thirty_metres(frame):
-    patch = choose_patch(*frame)
-    width, height, _ = footprint_ellipses(30.0 * patch.away[None], patch, divergence_mrad=3.0)
-    # P2 section 7.
-    assert (width[0], height[0]) == (pytest.approx(0.09), pytest.approx(0.09))
-
-
 def test_an_ellipse_is_the_shadow_of_the_circle_across_its_beam(frame, rng):
     """A circle across an oblique beam, cast point by point onto the plane of the patch."""
     patch = choose_patch(*frame)

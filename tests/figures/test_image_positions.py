@@ -74,17 +74,6 @@ def test_everything_is_on_the_map(look, trajectory):
     assert "RMSE of 2 check points: east 4.0, north 4.0, up 4.0 mm" in words
 
 
-def test_vectors_and_ellipses_stay_on_the_map(look):
-    wide = report().assign(sigma_without_north_mm=100.0)
-    figure = image_positions(poses(), surveyed(), wide)
-    plan = figure.axes[0]
-    low, high = np.transpose([plan.get_xlim(), plan.get_ylim()])
-    for ellipse in look.artists(figure, "sigma-ellipse"):
-        half = np.array([ellipse.width, ellipse.height]) / 2
-        assert np.all(np.array(ellipse.center) - half > low)
-        assert np.all(np.array(ellipse.center) + half < high)
-
-
 def test_without_control_points(look):
     figure = image_positions(poses(), ControlPoints.none(), report().iloc[:0])
     assert "control point" not in look.texts(figure).split("|")[0]

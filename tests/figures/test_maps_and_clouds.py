@@ -65,30 +65,6 @@ def test_segment_is_the_densest_and_is_seen_from_the_water(trajectory, bank):
     assert inside[20_000:].mean() < 0.2
 
 
-def reach(rng, trajectory, *, side, along, across, up, n):
-    """Points beside the track of 100 m at 70 degrees; across is counted away from the water."""
-    s, c = np.sin(np.deg2rad(70.0)), np.cos(np.deg2rad(70.0))
-    a, q, z = rng.uniform(*along, n), side * rng.uniform(*across, n), rng.uniform(*up, n)
-    return np.stack([a * s - q * c, a * c + q * s, z], axis=1)
-
-
-def test_a_bank_covered_evenly_wins_over_a_wall_with_more_points(rng, trajectory):
-    """A wall that fills half of any stretch has most points, but is no bank along its whole length."""
-    bank = reach(rng, trajectory, side=1, along=(0, 100), across=(9.0, 12.0), up=(1.0, 4.0), n=30_000)
-    wall = reach(rng, trajectory, side=-1, along=(50, 57), across=(9.0, 10.0), up=(1.0, 4.0), n=90_000)
-    view = choose_segment(np.concatenate([bank, wall]), trajectory).azimuth_rad
-    across = np.array([-np.cos(np.deg2rad(70.0)), np.sin(np.deg2rad(70.0))])
-    assert np.array([np.sin(view), np.cos(view)]) @ across > 0.9
-
-
-def test_the_background_lies_behind_the_bank_only():
-    points = np.array([[0.0, y, 0.0] for y in (-13.0, -11.0, 11.0, 13.0, 41.0, 43.0)])
-    segment = BankSegment(centre_en_m=np.zeros(2), azimuth_rad=0.0, length_m=14.0)
-    assert segment.contains(points).tolist() == [False, True, True, False, False, False]
-    deep = BankSegment(centre_en_m=np.zeros(2), azimuth_rad=0.0, length_m=14.0, background_m=30.0)
-    assert deep.contains(points).tolist() == [False, True, True, True, True, False]
-
-
 def test_the_side_with_the_taller_things_stands_behind(trajectory, bank):
     """Seen from their side, trees would hide the slope below them."""
     s, c = np.sin(np.deg2rad(70.0)), np.cos(np.deg2rad(70.0))
@@ -100,13 +76,6 @@ def test_the_side_with_the_taller_things_stands_behind(trajectory, bank):
         low = np.tile(np.column_stack([along + 12.0 * flat, np.full(4000, 0.5)]), (3, 1))
         azimuth = bankward_azimuth(np.concatenate([trees, low]), trajectory)
         assert np.array([np.sin(azimuth), np.cos(azimuth)]) @ tall > 0.9
-
-
-def test_along_runs_to_the_right_of_the_view():
-    segment = BankSegment(centre_en_m=np.array([10.0, 20.0]), azimuth_rad=0.0, length_m=14.0)  # looks north
-    along, away = segment.along_and_away(np.array([[10.0, 20.0, 0.0], [13.0, 25.0, 0.0]]))
-    np.testing.assert_allclose(along, [7.0, 10.0])
-    np.testing.assert_allclose(away, [0.0, 5.0])
 
 
 @pytest.mark.parametrize("away_m", [1.2, 60.0])

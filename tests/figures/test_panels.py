@@ -36,9 +36,6 @@ EXAMPLES: Final = {
     "figures/test_bed_strip.py": {
         "lightsheet.figures.survey:bed_strip": "test_the_strip_beside_the_true_bed"
     },
-    "figures/test_budget.py": {
-        "thalweg_lab.figures.error_budget:error_budget": "test_the_stack_ends_at_the_total_and_at_100_percent"
-    },
     "figures/test_calibration_clocks.py": {
         "figures.calibration.clock:clock_offset": "test_the_offset_figure_shows_both_tracks",
         "figures.calibration.clock:clock_stability": "test_intervals_jump_over_what_could_not_be_read",

@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from thalweg.figures.cloud.removed import Across, along_reach, removed_points
+from thalweg.figures.cloud.removed import Across, removed_points
 from thalweg.lidar import REMOVED, REMOVED_POINTS, WORDS, Reason
 from thalweg.lidar.filters import reason_table
 from thalweg.settings.sections import Filters
@@ -87,12 +87,3 @@ def test_distance_and_height_across_the_river(trajectory):
     # the ics origin is at 1.5 m, the water line 0.2 m below it; heights are interpolated between equal ones
     assert left[1] == pytest.approx(0.0, abs=1e-12)
     assert right[1] == pytest.approx(4.0, abs=1e-12)
-
-
-def test_plan_is_turned_along_the_reach(rng, trajectory, bank):
-    R = along_reach(trajectory.position_wcs_m)
-    assert np.linalg.det(R) == pytest.approx(1.0)
-    np.testing.assert_allclose(R @ R.T, np.eye(2), atol=1e-12)  # of unit vectors in float64
-    assert R[0] @ [np.sin(AZIMUTH_RAD), np.cos(AZIMUTH_RAD)] > 0.99
-    # a track to the west is shown eastward too, and north is up on a west-east reach
-    np.testing.assert_allclose(along_reach(np.array([[0.0, 0], [-9, 0], [-20, 0]])), np.eye(2), atol=1e-12)
