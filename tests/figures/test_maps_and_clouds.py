@@ -98,6 +98,16 @@ def test_no_bank_in_reach_is_refused(trajectory):
         choose_segment(np.tile([5000.0, 0.0, 500.0], (5, 1)), trajectory)
 
 
+def test_detail_by_intensity_names_its_percentiles(bank):
+    segment = BankSegment(
+        centre_en_m=bank.points[:20_000, :2].mean(axis=0), azimuth_rad=bank.azimuth_rad, length_m=14.0
+    )
+    figure = cloud_detail(bank.points, bank.intensity, segment=segment, percentiles=(5.0, 95.0), width_px=300)
+    assert figure.axes[1].get_ylabel() == "intensity   (5 to 95 %)"
+    low, high = np.percentile(bank.intensity[segment.contains(bank.points)], [5, 95])
+    assert figure.axes[1].get_ylim() == (pytest.approx(low), pytest.approx(high))
+
+
 def test_detail_in_colour_above_and_by_intensity_below(bank):
     segment = BankSegment(
         centre_en_m=bank.points[:20_000, :2].mean(axis=0), azimuth_rad=bank.azimuth_rad, length_m=14.0

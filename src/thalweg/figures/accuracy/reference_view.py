@@ -34,7 +34,7 @@ from thalweg.figures import (
     styled,
 )
 from thalweg.figures.cloud import Splat, choose_segment
-from thalweg.figures.survey import map_extent
+from thalweg.figures.survey import map_extent, track_of
 from thalweg.lidar import sample_cloud
 
 EYE_M: Final = 1.7
@@ -282,7 +282,7 @@ def _draw_plan(
     counts: Mapping[int, int],
 ) -> None:
     eye = view.viewpoint_wcs_m
-    track = np.where(trajectory.valid[:, None], trajectory.position_wcs_m[:, :2], np.nan)
+    track = track_of(trajectory)
     places = np.concatenate([track[trajectory.valid], eye[None, :2]])
     step = max(1, len(sample) // MAP_POINTS)
     points, which = sample[::step, :2], source[::step]

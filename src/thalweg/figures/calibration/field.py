@@ -40,6 +40,7 @@ from thalweg.figures import (
     round_length,
     scale_bar,
     styled,
+    thinned,
 )
 from thalweg.figures.calibration.tables import (
     XYZ,
@@ -458,7 +459,7 @@ def field_reference(
     axes = figure.subplots(2, 2)
     _reference(axes[0, 0], field_points, list(bodies.values()))
     _image(axes[0, 1], image, marks, image_name)
-    shown = used.iloc[:: max(-(-len(used) // POINTS_SHOWN), 1)]
+    shown = thinned(used, POINTS_SHOWN)
     colours = {name: CONE_COLOURS[k % len(CONE_COLOURS)] for k, name in enumerate(bodies)}
     _on_cones(axes[1, 0], shown, bodies, c=shown["cone"].astype(str).map(colours))
     part = f", {count(len(shown))} of {count(len(used))} shown" if len(shown) < len(used) else ""

@@ -1,5 +1,6 @@
 """Difference of the heights of two epochs in cells of the map, with its standard deviation."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -7,16 +8,15 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 from thalweg.core import ArrayF
-from thalweg.deformation.foreign import read_difference
+from thalweg.deformation.foreign import SurfaceDifference, read_difference
 from thalweg.figures import SIGMA_MAP, count, raster_maps, styled
 from thalweg.figures.accuracy import DISTANCE_MAP, round_above
 from thalweg.figures.deformation.maps import SCALE_SHARE, signed
 
 
 @styled
-def draw_height_difference(*, differences: list[Path], title: str) -> Figure:
-    """Difference and standard deviation of each pair (``dod_<pair>.tif``), in coordinates of the map."""
-    pairs = [(path.stem.rpartition("_")[2], read_difference(path)) for path in differences]
+def height_difference(pairs: Sequence[tuple[str, SurfaceDifference]], *, title: str) -> Figure:
+    """Difference and standard deviation of each pair, in coordinates of the map."""
     every = np.concatenate([found.raster.height_m.ravel() for _, found in pairs])
     known = np.abs(every[np.isfinite(every)])
     limit = 100 * round_above(max(float(np.percentile(known, SCALE_SHARE)), 1e-3))
@@ -27,7 +27,7 @@ def draw_height_difference(*, differences: list[Path], title: str) -> Figure:
     of_difference = {"cmap": DISTANCE_MAP, "norm": Normalize(-limit, limit)}
     of_sigma = {"cmap": SIGMA_MAP, "norm": Normalize(0.0, most)}
     figure, axes = raster_maps(
-        f"Difference of heights: {title}, n = {count(len(known))} cells",
+        f"{title}, n = {count(len(known))} cells",
         (west, west + wide, north - tall, north),
         [
             panel
@@ -56,3 +56,9 @@ def _of_sigma(value_cm: ArrayF) -> str:
     return (
         f"standard deviation,\nmedian {np.median(use):.1f} cm" if len(use) else "standard deviation not known"
     )
+
+
+def draw_height_difference(*, differences: list[Path], title: str) -> Figure:
+    """Files ``dod_<pair>.tif`` -> maps of difference and standard deviation."""
+    pairs = [(path.stem.rpartition("_")[2], read_difference(path)) for path in differences]
+    return height_difference(pairs, title=f"Difference of heights: {title}")

@@ -226,6 +226,7 @@ def _view_from_above(ax: Axes, pair: BankPair) -> None:
         va="center",
         fontsize=7,
         fontweight="bold",
+        gid="north-arrow",
         path_effects=HALO,
         arrowprops={"arrowstyle": "-|>", "lw": 1.0, "color": "black", "shrinkA": 4, "shrinkB": 0},
     )
@@ -250,23 +251,20 @@ def _two_views(pairs: Sequence[BankPair], title: str, extra_mm: float) -> tuple[
 
 
 @styled
-def draw_change_map(
-    *, changes: list[Path], core_points: Path, spacing_m: float, by_boat: bool, title: str
-) -> Figure:
+def change_map(pairs: Sequence[BankPair], *, title: str) -> Figure:
     """Distance of each core point of bare ground, from above and from the side."""
-    pairs = read_pairs(changes, core_points, spacing_m, by_boat=by_boat)
     inside = [np.abs(pair.table["distance_m"].to_numpy()[pair.bare]) for pair in pairs]
     limit = round_above(max(float(np.percentile(np.concatenate(inside), SCALE_SHARE)), 1e-3))
     norm = Normalize(-100 * limit, 100 * limit)
     n = sum(len(each) for each in inside)
-    figure, panels = _two_views(pairs, f"Change: {title}, n = {count(n)} core\N{NO-BREAK SPACE}points", 20.0)
+    figure, panels = _two_views(pairs, f"{title}, n = {count(n)} core\N{NO-BREAK SPACE}points", 20.0)
     for i, pair in enumerate(pairs):
         distance = 100 * pair.table["distance_m"].to_numpy()
         order = np.argsort(np.abs(distance[pair.bare]))
         size = marker_pt(pair) ** 2
         for ax, y in ((panels[2 * i], pair.into_m), (panels[2 * i + 1], pair.up_m)):
             other = ~pair.bare
-            ax.scatter(pair.s_m[other], y[other], s=0.3 * size, c="0.6", marker="x", lw=0.4)
+            ax.scatter(pair.s_m[other], y[other], s=0.3 * size, c="0.6", marker="x", lw=0.4, gid="others")
             x, z, d = (values[pair.bare][order] for values in (pair.s_m, y, distance))
             drawn = ax.scatter(x, z, c=d, s=size, marker="s", lw=0, cmap=DISTANCE_MAP, norm=norm)
             drawn.set_gid("distances")
@@ -285,6 +283,14 @@ def draw_change_map(
     words = "distance / cm; negative: erosion, positive: deposition"
     colour_bar(panels, DISTANCE_MAP, norm, words, **look)
     return figure
+
+
+def draw_change_map(
+    *, changes: list[Path], core_points: Path, spacing_m: float, by_boat: bool, title: str
+) -> Figure:
+    """Compared core points -> distances from above and from the side."""
+    pairs = read_pairs(changes, core_points, spacing_m, by_boat=by_boat)
+    return change_map(pairs, title=f"Change: {title}")
 
 
 def _with_styles(
@@ -319,15 +325,10 @@ def _legend_under(ax: Axes) -> None:
 
 
 @styled
-def draw_significance_map(
-    *, changes: list[Path], core_points: Path, spacing_m: float, by_boat: bool, title: str
-) -> Figure:
+def significance_map(pairs: Sequence[BankPair], *, title: str) -> Figure:
     """What is known of each core point, from above and from the side."""
-    pairs = read_pairs(changes, core_points, spacing_m, by_boat=by_boat)
     n = count(len(pairs[0].s_m))
-    figure, panels = _two_views(
-        pairs, f"Change: {title}, n = {n} core\N{NO-BREAK SPACE}points", 26.0 * len(pairs)
-    )
+    figure, panels = _two_views(pairs, f"{title}, n = {n} core\N{NO-BREAK SPACE}points", 26.0 * len(pairs))
     looks = {state: STATE_STYLE[state] for state in STATES}
     for i, pair in enumerate(pairs):
         for ax, y in ((panels[2 * i], pair.into_m), (panels[2 * i + 1], pair.up_m)):
@@ -336,3 +337,11 @@ def draw_significance_map(
         panels[2 * i + 1].set_title(pair.scene.view)
         _legend_under(panels[2 * i + 1])
     return figure
+
+
+def draw_significance_map(
+    *, changes: list[Path], core_points: Path, spacing_m: float, by_boat: bool, title: str
+) -> Figure:
+    """Compared core points -> what is known of each."""
+    pairs = read_pairs(changes, core_points, spacing_m, by_boat=by_boat)
+    return significance_map(pairs, title=f"Change: {title}")

@@ -61,21 +61,10 @@ def read_stable(
 
 
 @styled
-def draw_stable_ground(
-    *,
-    changes: list[Path],
-    registrations: list[Path],
-    weights: list[Path],
-    core_points: Path,
-    spacing_m: float,
-    by_boat: bool,
-    title: str,
-) -> Figure:
+def stable_ground(pairs: Sequence[BankPair], stable: Sequence[Stable], *, title: str) -> Figure:
     """Distances over their sigma where nothing moved, and along the bank."""
-    pairs = read_pairs(changes, core_points, spacing_m, by_boat=by_boat)
-    stable = read_stable(pairs, registrations, weights)
     n = count(sum(each.unmoved.sum() for each in stable))
-    figure = new_figure(104.0 * len(pairs) + 8.0, f"Stable ground: {title}, n = {n} distances")
+    figure = new_figure(104.0 * len(pairs) + 8.0, f"{title}, n = {n} distances")
     panels = figure.subplots(2 * len(pairs), 1, squeeze=False)[:, 0]
     for i, (pair, use) in enumerate(zip(pairs, stable, strict=True)):
         _normalised(panels[2 * i], pair, use)
@@ -102,7 +91,9 @@ def _normalised(ax: Axes, pair: BankPair, stable: Stable) -> None:
             f"{words}: n = {count(len(part))}, median {signed(float(np.median(part)), 2)}, NMAD {nmad:.2f}, "
             f"{100 * np.mean(np.abs(part) > WIDE):.1f} % beyond ±1.96"
         )
-        ax.hist(np.clip(part, -4.99, 4.99), bins=edges.tolist(), density=True, label=label, **look)
+        ax.hist(
+            np.clip(part, -4.99, 4.99), bins=edges.tolist(), density=True, label=label, gid="share", **look
+        )
     x = np.linspace(-5, 5, 201)
     ax.plot(x, norm.pdf(x), color="black", lw=1.2, label="standard normal: 5 % beyond ±1.96", gid="normal")
     ax.set_xlim(-5, 5)
@@ -124,7 +115,7 @@ def _along(ax: Axes, pair: BankPair, stable: ArrayB) -> None:
     ax.plot(means["s"], means["d"], color=BLUE, marker="o", ms=2.5, label=f"median of {step:.2g} m")
     band = WIDE * means["sigma"]
     label = "95 % of single distances without change"
-    ax.fill_between(means["s"], -band, band, color=ORANGE, alpha=0.35, lw=0, label=label)
+    ax.fill_between(means["s"], -band, band, color=ORANGE, alpha=0.35, lw=0, label=label, gid="band")
     ax.axhline(0.0, color="black", lw=0.6)
     limit = max(1.6 * float(band.max()), 1.2 * float(means["d"].abs().max()))
     ax.set_ylim(-limit, 1.5 * limit)
@@ -132,6 +123,22 @@ def _along(ax: Axes, pair: BankPair, stable: ArrayB) -> None:
     ax.set_xlabel(pair.scene.along)
     ax.set_ylabel("distance / cm")
     ax.legend(loc="upper center", ncols=3)
+
+
+def draw_stable_ground(
+    *,
+    changes: list[Path],
+    registrations: list[Path],
+    weights: list[Path],
+    core_points: Path,
+    spacing_m: float,
+    by_boat: bool,
+    title: str,
+) -> Figure:
+    """Distances where nothing moved -> their histogram over sigma, and along the bank."""
+    pairs = read_pairs(changes, core_points, spacing_m, by_boat=by_boat)
+    stable = read_stable(pairs, registrations, weights)
+    return stable_ground(pairs, stable, title=f"Stable ground: {title}")
 
 
 # ---------------------------------------------------------------- volumes along the bank
@@ -152,10 +159,9 @@ def _tables(paths: Sequence[Path]) -> list[tuple[str, pd.DataFrame]]:
 
 
 @styled
-def draw_volume_along(*, along: list[Path], by_boat: bool, title: str) -> Figure:
+def volume_along(tables: Sequence[tuple[str, pd.DataFrame]], *, by_boat: bool, title: str) -> Figure:
     """Eroded, deposited and net volume of each stretch, and the area that was not seen."""
-    tables, words = _tables(along), scene(by_boat)
-    figure = new_figure(98.0 * len(tables) + 4.0, f"Volume of change along {words.thing}: {title}")
+    figure = new_figure(98.0 * len(tables) + 4.0, title)
     heights = [3.0, 1.0] * len(tables)
     panels = figure.subplots(len(heights), 1, height_ratios=heights, squeeze=False)[:, 0]
     for i, (name, table) in enumerate(tables):
@@ -184,18 +190,24 @@ def draw_volume_along(*, along: list[Path], by_boat: bool, title: str) -> Figure
         )
         volumes.legend(loc="upper center", ncols=3)
         volumes.tick_params(labelbottom=False)
-        unseen.bar(x, rows["not_seen_m2"], 0.9 * width, color=GREY)
-        unseen.set(ylabel="no data / m²", xlabel=words.along)
+        unseen.bar(x, rows["not_seen_m2"], 0.9 * width, color=GREY, gid="not-seen")
+        unseen.set(ylabel="no data / m²", xlabel=scene(by_boat).along)
         unseen.sharex(volumes)
     figure.align_ylabels(panels)
     return figure
 
 
+def draw_volume_along(*, along: list[Path], by_boat: bool, title: str) -> Figure:
+    """Volumes of stretches -> bars along the bank or surface."""
+    words = f"Volume of change along {scene(by_boat).thing}: {title}"
+    return volume_along(_tables(along), by_boat=by_boat, title=words)
+
+
 @styled
-def draw_retreat_along(*, retreat: list[Path], by_boat: bool, title: str) -> Figure:
+def retreat_along(tables: Sequence[tuple[str, pd.DataFrame]], *, by_boat: bool, title: str) -> Figure:
     """How far bank line and bank top moved in each stretch."""
-    tables, words = _tables(retreat), scene(by_boat)
-    figure = new_figure(66.0 * len(tables) + 4.0, f"Movement of {words.thing}: {title}")
+    words = scene(by_boat)
+    figure = new_figure(66.0 * len(tables) + 4.0, title)
     panels = figure.subplots(len(tables), 1, squeeze=False)[:, 0]
     for ax, (name, table) in zip(panels, tables, strict=True):
         for line, colour, marker, shift in (
@@ -216,3 +228,9 @@ def draw_retreat_along(*, retreat: list[Path], by_boat: bool, title: str) -> Fig
         ax.legend(loc="upper center", ncols=2)
         ax.set_xlabel(words.along)
     return figure
+
+
+def draw_retreat_along(*, retreat: list[Path], by_boat: bool, title: str) -> Figure:
+    """Movement of both lines in stretches -> along the bank or surface."""
+    words = f"Movement of {scene(by_boat).thing}: {title}"
+    return retreat_along(_tables(retreat), by_boat=by_boat, title=words)

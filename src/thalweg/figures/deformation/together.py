@@ -1,5 +1,6 @@
 """Two epochs together: how each was surveyed, both clouds, and their point to point distances."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
@@ -11,27 +12,22 @@ from scipy.spatial import cKDTree
 from thalweg.core import ArrayF
 from thalweg.deformation import cloud_to_cloud
 from thalweg.figures import BLUE, RANGE_MAP, SIGMA_MAP, VERMILION, count, legend_below, new_figure, styled
-from thalweg.figures.deformation.maps import read_pairs
-from thalweg.figures.deformation.views import read_clouds
+from thalweg.figures.deformation.maps import BankPair, read_pairs
+from thalweg.figures.deformation.views import CloudOfEpoch, read_clouds
 
 SHOWN: Final = 40_000
 """Points of an epoch in a panel at most."""
 
 
 @styled
-def draw_epochs_together(
-    *,
-    points: list[Path],
-    errors: list[Path],
-    changes: list[Path],
-    core_points: Path,
-    spacing_m: float,
-    by_boat: bool,
-    title: str,
-) -> Figure:
-    """First and last epoch in four panels (T Fig. 4.2); any pair of them has the axes along and across."""
-    pair = read_pairs(changes[:1], core_points, spacing_m, by_boat=by_boat)[0]
-    clouds, title = read_clouds(points, errors), f"Two epochs and their distances: {title}"
+def epochs_together(clouds: Sequence[CloudOfEpoch], pair: BankPair, *, title: str) -> Figure:
+    """First and last epoch in four panels.
+
+    Parameters
+    ----------
+    clouds : all epochs, in the order of time.
+    pair : any pair of them, for the axes along and across, and their words.
+    """
     first, last = clouds[0], clouds[-1]
     shown = [_thinned(each.xyz_m) for each in (first, last)]
     table = cloud_to_cloud(first.xyz_m, shown[1], towards=np.array([*-pair.into, 0.0]))
@@ -55,7 +51,7 @@ def draw_epochs_together(
     ):
         drawn = ax.scatter(
             s, xyz[:, 2], c="0.4" if distance is None else distance, s=0.6, cmap=RANGE_MAP if limit else None,
-            vmin=0.0 if limit else None, vmax=limit or None, lw=0, rasterized=True,
+            vmin=0.0 if limit else None, vmax=limit or None, lw=0, rasterized=True, gid=f"cloud {letter}",
         )  # fmt: skip
         ax.set_title(f"{letter}) epoch {each.number}, {each.name}, {pair.scene.view}")
         ax.set_ylabel("height / m")
@@ -67,7 +63,7 @@ def draw_epochs_together(
     later = np.repeat([False, True], [len(part[0]) for part in bank])
     order = rng.permutation(len(both))  # neither epoch hides the other
     colours = np.where(later, VERMILION, BLUE)[order]
-    ax.scatter(*both[order].T, c=colours, s=0.6, lw=0, rasterized=True)
+    ax.scatter(*both[order].T, c=colours, s=0.6, lw=0, rasterized=True, gid="both")
     for each, colour in ((first, BLUE), (last, VERMILION)):
         ax.plot([], [], "o", ms=4, color=colour, label=f"epoch {each.number}, {each.name}")
     ax.set_title("c) both epochs from above")
@@ -99,3 +95,19 @@ def _bar(figure: Figure, ax: Axes, drawn: object, words: str, extend: str = "nei
 def _thinned(xyz_m: ArrayF) -> ArrayF:
     """Every so many-th point."""
     return np.asarray(xyz_m[:: -(-len(xyz_m) // SHOWN)])
+
+
+def draw_epochs_together(
+    *,
+    points: list[Path],
+    errors: list[Path],
+    changes: list[Path],
+    core_points: Path,
+    spacing_m: float,
+    by_boat: bool,
+    title: str,
+) -> Figure:
+    """Prepared epochs -> first and last of them together (T Fig. 4.2)."""
+    pair = read_pairs(changes[:1], core_points, spacing_m, by_boat=by_boat)[0]
+    clouds = read_clouds(points, errors)
+    return epochs_together(clouds, pair, title=f"Two epochs and their distances: {title}")

@@ -68,9 +68,8 @@ def read_clouds(points: Sequence[Path], errors: Sequence[Path]) -> list[CloudOfE
 
 
 @styled
-def draw_epochs_from_above(*, points: list[Path], errors: list[Path], title: str) -> Figure:
+def epochs_from_above(clouds: Sequence[CloudOfEpoch], *, title: str) -> Figure:
     """Highest points of each epoch from above with the tracks of the boat."""
-    clouds = read_clouds(points, errors)
     everything = np.concatenate([part[:, :2] for each in clouds for part in (each.xyz_m, each.boat_m)])
     low, high = everything.min(axis=0), everything.max(axis=0)
     margin = 0.03 * float(np.max(high - low))
@@ -80,7 +79,7 @@ def draw_epochs_from_above(*, points: list[Path], errors: list[Path], title: str
     look = {"cmap": HEIGHT_MAP, "vmin": least, "vmax": most, "origin": "lower", "gid": "heights"}
     n = count(sum(len(each.xyz_m) for each in clouds))
     figure, panels = raster_maps(
-        f"Epochs from above: {title}, n = {n} points",
+        f"{title}, n = {n} points",
         (low[0], high[0], low[1], high[1]),
         [(_highest(each.xyz_m, low, high), "height / m", look) for each in clouds],
         crs="local frame",
@@ -88,7 +87,7 @@ def draw_epochs_from_above(*, points: list[Path], errors: list[Path], title: str
     for ax, each in zip(panels, clouds, strict=False):
         if len(each.boat_m):
             ax.plot(*each.boat_m[:, :2].T, color=VERMILION, lw=1.2, gid="track")
-            ax.plot(*each.boat_m[0, :2], "o", color=VERMILION, ms=4)
+            ax.plot(*each.boat_m[0, :2], "o", color=VERMILION, ms=4, gid="start")
         track = "line: the boat from the circle" if len(each.boat_m) else "files, no trajectory"
         ax.set_title(
             f"epoch {each.number}, {each.name}: {utc_text_from_gps(each.start_gps_s, 0)},\n"
@@ -108,6 +107,12 @@ def _highest(xyz_m: ArrayF, low: ArrayF, high: ArrayF) -> ArrayF:
     picture = np.full(rows * columns, -np.inf)
     np.maximum.at(picture, at[:, 1] * columns + at[:, 0], xyz_m[:, 2])
     return np.where(np.isfinite(picture), picture, np.nan).reshape(rows, columns)
+
+
+def draw_epochs_from_above(*, points: list[Path], errors: list[Path], title: str) -> Figure:
+    """Prepared epochs -> their clouds from above."""
+    clouds = read_clouds(points, errors)
+    return epochs_from_above(clouds, title=f"Epochs from above: {title}")
 
 
 # ---------------------------------------------------------------- profiles
@@ -157,29 +162,13 @@ def without_motion(xyz_m: ArrayF, parameters: dict[str, float], middle_m: ArrayF
 
 
 @styled
-def draw_change_profiles(
-    *,
-    points: list[Path],
-    errors: list[Path],
-    changes: list[Path],
-    patches: list[Path],
-    registrations: list[Path],
-    core_points: Path,
-    spacing_m: float,
-    by_boat: bool,
-    title: str,
-) -> Figure:
-    """Points of both epochs, the second as registered, in slabs across the bank where it changed most."""
-    clouds, title = read_clouds(points, errors), f"Profiles across {scene(by_boat).thing}: {title}"
-    cuts = []
-    for pair, patch, moved in zip(
-        read_pairs(changes, core_points, spacing_m, by_boat=by_boat), patches, registrations, strict=True
-    ):
-        first, second = (clouds[int(i) - 1] for i in pair.name.split("-"))
-        motion = read_json(moved).get("parameters")
-        middle = pair.table[["east_m", "north_m", "up_m"]].to_numpy().mean(axis=0)
-        after = second.xyz_m if motion is None else without_motion(second.xyz_m, motion, middle)
-        cuts += [(pair, place, first.xyz_m, after) for place in places_of(pair, pd.read_csv(patch))]
+def profiles(cuts: Sequence[tuple[BankPair, Place, ArrayF, ArrayF]], *, title: str) -> Figure:
+    """Points of both epochs within slabs across the bank or surface.
+
+    Parameters
+    ----------
+    cuts : pair, place, points (n, 3) of the first and of the registered second epoch.
+    """
     if not cuts:
         figure = new_figure(30.0, title)
         figure.text(0.5, 0.4, "no patch of change: no profile", ha="center")
@@ -188,7 +177,7 @@ def draw_change_profiles(
     panels = figure.subplots(len(cuts), 1, squeeze=False)[:, 0]
     for ax, cut in zip(panels, cuts, strict=True):
         _profile(ax, *cut)
-    panels[-1].set_xlabel(scene(by_boat).across)
+    panels[-1].set_xlabel(cuts[0][0].scene.across)
     legend_below(figure, panels[0])
     return figure
 
@@ -226,6 +215,7 @@ def _profile(ax: Axes, pair: BankPair, place: Place, first_m: ArrayF, second_m: 
             color="black",
             lw=0.9,
             zorder=4,
+            gid="distance",
             label="significant distance along the normal" if k == 0 else None,
         )
     ax.set_aspect("equal")
@@ -245,3 +235,29 @@ def _cell_means(x: ArrayF, z: ArrayF, edge_m: float) -> ArrayF:
     cells = pd.DataFrame({"x": x, "z": z, "i": np.floor(x / edge_m), "j": np.floor(z / edge_m)})
     found = cells.groupby(["i", "j"]).agg(x=("x", "mean"), z=("z", "mean"), n=("x", "size"))
     return found.loc[found["n"] >= LEAST_IN_CELL, ["x", "z"]].to_numpy()
+
+
+def draw_change_profiles(
+    *,
+    points: list[Path],
+    errors: list[Path],
+    changes: list[Path],
+    patches: list[Path],
+    registrations: list[Path],
+    core_points: Path,
+    spacing_m: float,
+    by_boat: bool,
+    title: str,
+) -> Figure:
+    """Prepared epochs and what changed -> profiles through the largest changes."""
+    clouds = read_clouds(points, errors)
+    cuts = []
+    for pair, patch, moved in zip(
+        read_pairs(changes, core_points, spacing_m, by_boat=by_boat), patches, registrations, strict=True
+    ):
+        first, second = (clouds[int(i) - 1] for i in pair.name.split("-"))
+        motion = read_json(moved).get("parameters")
+        middle = pair.table[["east_m", "north_m", "up_m"]].to_numpy().mean(axis=0)
+        after = second.xyz_m if motion is None else without_motion(second.xyz_m, motion, middle)
+        cuts += [(pair, place, first.xyz_m, after) for place in places_of(pair, pd.read_csv(patch))]
+    return profiles(cuts, title=f"Profiles across {scene(by_boat).thing}: {title}")

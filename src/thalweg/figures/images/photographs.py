@@ -48,7 +48,7 @@ from thalweg.figures import (
     styled,
 )
 from thalweg.figures.accuracy import round_above
-from thalweg.figures.survey import map_extent, plain_numbers, sigma_norm
+from thalweg.figures.survey import map_extent, plain_numbers, sigma_norm, track_of
 from thalweg.images import read_all_control_points
 from thalweg.images.model import ControlPoints, ImagePoses
 from thalweg.ingest.photos import Images, named_images
@@ -170,8 +170,7 @@ def _draw_images(figure: Figure, ax: Axes, poses: ImagePoses, trajectory: Trajec
     variance = np.diagonal(poses.cov_pose_wcs[use], axis1=1, axis2=2)[:, :3]
     sigma_mm = 1e3 * np.sqrt(variance.sum(axis=1))
     if trajectory is not None:
-        en = np.where(trajectory.valid[:, None], trajectory.position_wcs_m[:, :2], np.nan)
-        ax.plot(*en.T, color="0.65", lw=0.8, zorder=2, label="trajectory by INS")
+        ax.plot(*track_of(trajectory).T, color="0.65", lw=0.8, zorder=2, label="trajectory by INS")
         _draw_lost(ax, poses, trajectory)
     # views to see where the camera looked; z of ccs is the view
     ends = centres[:, :2] + 0.02 * float(np.ptp(ax.get_xlim())) * poses.R_wcs_ccs[use][:, :2, 2]

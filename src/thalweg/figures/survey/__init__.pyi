@@ -5,5 +5,6 @@ from .maps import (
     plain_numbers as plain_numbers,
     sigma_norm as sigma_norm,
     track_gaps as track_gaps,
+    track_of as track_of,
 )
 from .strips import strips_page as strips_page

@@ -196,6 +196,11 @@ def _draw_fixes(ax: Axes, trajectory: Trajectory, positions: pd.DataFrame) -> No
             )
 
 
+def track_of(trajectory: Trajectory) -> ArrayF:
+    """East and north (n, 2) of all nodes; NaN, at which a line breaks, where there is no pose."""
+    return np.where(trajectory.valid[:, None], trajectory.position_wcs_m[:, :2], np.nan)
+
+
 def draw_ends(ax: Axes, trajectory: Trajectory) -> None:
     """Mark where the track begins and where it ends."""
     en = trajectory.position_wcs_m[trajectory.valid, :2]

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from thalweg.core import AnyArray, CoverageError, root_mean_square
-from thalweg.figures import GREY, ORANGE, count, new_figure, plural, styled
+from thalweg.figures import GREY, ORANGE, count, new_figure, plural, styled, thinned
 from thalweg.figures.calibration import Oblique
 from thalweg.lightsheet.figures.views import (
     DEPTH_STYLES,
@@ -98,7 +98,7 @@ def _image(
     for k, level in enumerate(levels):
         colour, _, marker = DEPTH_STYLES[k]
         mine = residuals[used & (residuals["level"].astype(str) == level)]
-        shown = mine.iloc[:: max(1, -(-len(mine) // _MOST_POINTS))]
+        shown = thinned(mine, _MOST_POINTS)
         dots(
             ax,
             shown["x_px"],

@@ -2,19 +2,18 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
-from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator
 
 from thalweg.core import NMAD, AnyArray, ArrayB, ArrayF, CoverageError, read_table
-from thalweg.figures import BLUE, ORANGE, RED, SKY, VERMILION, count, new_figure, plural, styled
+from thalweg.figures import BLUE, ORANGE, RED, SKY, VERMILION, colour_bar, count, new_figure, plural, styled
 from thalweg.figures.accuracy import DISTANCE_MAP
 from thalweg.lightsheet.figures.views import (
     LIGHT_MAP,
@@ -269,10 +268,9 @@ def line_patch(image: AnyArray, points: pd.DataFrame, *, title: str = "Line meas
         ax.set_title(words)
         ax.yaxis.set_major_locator(MaxNLocator(5, integer=True))
         ax.tick_params(labelleft=ax is axes[0])
-    shades = ScalarMappable(bright, LIGHT_MAP.reversed())
-    figure.colorbar(shades, ax=axes[:2], label="grey value", location="bottom", aspect=30, pad=0.02)
-    shades = ScalarMappable(Normalize(-largest, largest), DISTANCE_MAP)
-    figure.colorbar(shades, ax=axes[2], label="difference", location="bottom", aspect=15, pad=0.02)
+    look: dict[str, Any] = {"location": "bottom", "pad": 0.02}
+    colour_bar(axes[:2], LIGHT_MAP.reversed(), bright, "grey value", aspect=30, **look)
+    colour_bar(axes[2], DISTANCE_MAP, (-largest, largest), "difference", aspect=15, **look)
     return figure
 
 

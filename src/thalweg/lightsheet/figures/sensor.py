@@ -6,7 +6,6 @@ from typing import Final
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
@@ -20,6 +19,7 @@ from thalweg.figures import (
     HEIGHT_MAP,
     PURPLE,
     VERMILION,
+    colour_bar,
     legend_below,
     new_figure,
     styled,
@@ -349,8 +349,7 @@ def measurement_volume_view(
             )
         ax.set(title=words, xlabel="column / px", ylabel="row / px" if k == 0 else "")
         ax.tick_params(labelleft=k == 0)
-        shades = ScalarMappable(norm, colours)
-        figure.colorbar(shades, ax=ax, label=label, location="bottom", pad=0.02, aspect=30)
+        colour_bar(ax, colours, norm, label, location="bottom", pad=0.02, aspect=30)
     _views(axes[1], volume.border_lcs_mm, lines, looks, sensor)
     # why a pixel has no point
     for status, share in volume.shares.items():

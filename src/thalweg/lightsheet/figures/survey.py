@@ -10,7 +10,17 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 from thalweg.core import ArrayF
-from thalweg.figures import HEIGHT_MAP, PURPLE, VERMILION, count, new_figure, plural, robust_limits, styled
+from thalweg.figures import (
+    HEIGHT_MAP,
+    PURPLE,
+    VERMILION,
+    count,
+    new_figure,
+    plural,
+    robust_limits,
+    styled,
+    thinned,
+)
 from thalweg.lightsheet.figures.views import line_numbers, need, spots
 
 POINTS: Final = ("file", "t_gps_s", "east_m", "north_m", "up_m", "cov_uu_m2", "sigma_line_m")
@@ -66,12 +76,8 @@ def bed_strip(
     return figure
 
 
-def _some(points: pd.DataFrame) -> pd.DataFrame:
-    return points.iloc[:: max(1, -(-len(points) // _MOST_POINTS))]
-
-
 def _plan(figure: Figure, ax: Axes, points: pd.DataFrame) -> None:
-    shown = _some(points)
+    shown = thinned(points, _MOST_POINTS)
     middle = points[["east_m", "north_m"]].mean().to_numpy()
     east, north = (_CM_PER_M * (shown[["east_m", "north_m"]] - middle)).to_numpy().T
     norm = Normalize(*robust_limits(_CM_PER_M * points["up_m"], 0.5, 99.5))
@@ -95,7 +101,7 @@ def along_lines(points: pd.DataFrame) -> ArrayF:
 
 def _section(ax: Axes, points: pd.DataFrame) -> ScalarMappable:
     number, shades = line_numbers(points["file"])
-    shown = _some(points.assign(along=along_lines(points), number=number))
+    shown = thinned(points.assign(along=along_lines(points), number=number), _MOST_POINTS)
     colours = shades.to_rgba(shown["number"].to_numpy())
     spots(ax, _CM_PER_M * shown["along"], _CM_PER_M * shown["up_m"], colours, s=0.8)
     ax.set(title="b: along the lines", xlabel="along the lines / cm", ylabel="height / cm")
