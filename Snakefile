@@ -138,7 +138,6 @@ rule reproduce:
     input:
         text="results/reproduction/error_budgets.txt",
         ledger="results/reproduction/ledger.txt",
-        pictures="results/reproduction/figures/error_budget.png",
     log:
         "logs/reproduction/reproduce.log",
     conda:

@@ -30,7 +30,7 @@ REPOSITORY = Path(__file__).resolve().parents[1]
 
 
 @pytest.fixture(autouse=True)
-def _messages_are_heard() -> None:
+def _messages_are_heard():
     """Jobs keep messages to themselves and studies silence the library: no test hears of another's."""
     log = logging.getLogger("thalweg")
     log.setLevel(logging.NOTSET)
@@ -38,7 +38,7 @@ def _messages_are_heard() -> None:
 
 
 @pytest.fixture(scope="session")
-def repository() -> Path:
+def repository():
     """Root of the checkout under test."""
     return REPOSITORY
 
@@ -54,13 +54,13 @@ class RealFolder(type(Path())):  # type: ignore[misc]
 
 
 @pytest.fixture
-def record_property(record_property: Callable[[str, Any], None]) -> Callable[[str, Any], None]:
+def record_property(record_property):
     """That of pytest, for numbers of numpy too, which workers cannot hand over."""
     return lambda name, value: record_property(name, value.item() if isinstance(value, np.generic) else value)
 
 
 @pytest.fixture(scope="session")
-def data_dir() -> Path:
+def data_dir():
     """Folder of the real recordings, from THALWEG_DATA or beside the repository; skips where absent."""
     folder = Path(os.environ.get("THALWEG_DATA", REPOSITORY.parent / "shared" / "data"))
     if not folder.is_dir():
@@ -71,13 +71,13 @@ def data_dir() -> Path:
 
 
 @pytest.fixture(scope="session")
-def fuzz_count() -> int:
+def fuzz_count():
     """Mutated inputs per reader: 40 in the suite, THALWEG_FUZZ=10000 for the long run."""
     return int(os.environ.get("THALWEG_FUZZ", "40"))
 
 
 @pytest.fixture
-def rng(request: pytest.FixtureRequest) -> np.random.Generator:
+def rng(request):
     """Generator seeded by the name of the test: another test never changes its numbers."""
     return np.random.default_rng(list(request.node.name.encode()))
 
@@ -206,7 +206,7 @@ def memory_limit(extra_bytes: int) -> Iterator[None]:
 
 
 @pytest.fixture
-def fuzz(rng: np.random.Generator, fuzz_count: int) -> Iterator[Fuzz]:
+def fuzz(rng, fuzz_count):
     """Damaged inputs under limits of time and memory (2 GB above the start of the test)."""
     with memory_limit(2 << 30):
         yield Fuzz(rng, fuzz_count)

@@ -1,7 +1,6 @@
 """Bands of normalised squares hold what they promise, and what one observation cannot see has a guard."""
 
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,7 +9,7 @@ from tests.bands import band
 
 
 @pytest.mark.parametrize("n", [1, 6, 40, 300])
-def test_right_sigmas_stay_inside_as_often_as_promised(n: int, rng: np.random.Generator) -> None:
+def test_right_sigmas_stay_inside_as_often_as_promised(n, rng):
     squares = rng.chisquare(n, 20_000) / n
     for level in (0.95, 0.999):
         low, high = band(n, level=level)
@@ -19,7 +18,7 @@ def test_right_sigmas_stay_inside_as_often_as_promised(n: int, rng: np.random.Ge
         assert outside == pytest.approx(1 - level, abs=5 * np.sqrt(level * (1 - level) / len(squares)))
 
 
-def test_estimated_variances_widen_a_band(rng: np.random.Generator) -> None:
+def test_estimated_variances_widen_a_band(rng):
     low, high = band(40, predicted_from=40, level=0.95)
     ratio = rng.chisquare(40, 20_000) / rng.chisquare(40, 20_000)
     assert np.mean((ratio > low) & (ratio < high)) == pytest.approx(0.95, abs=0.008)
@@ -27,7 +26,7 @@ def test_estimated_variances_widen_a_band(rng: np.random.Generator) -> None:
     np.testing.assert_allclose(band(40, predicted_from=1e7), band(40), rtol=1e-4)
 
 
-def test_what_one_observation_cannot_see_has_a_guard(repository: Path) -> None:
+def test_what_one_observation_cannot_see_has_a_guard(repository):
     """Each check that calls itself one observation of the twin names the study or the test of many."""
     studies = {path.stem for path in (repository / "config/studies").glob("*.yaml")}
     told = 0

@@ -16,7 +16,7 @@ from thalweg.settings.load import check_campaign, load_campaign
 
 
 @pytest.fixture
-def here(tmp_path, monkeypatch) -> Path:
+def here(tmp_path, monkeypatch):
     """An empty folder as working directory."""
     monkeypatch.chdir(tmp_path)
     return tmp_path

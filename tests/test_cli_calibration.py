@@ -41,7 +41,7 @@ antenna: {marker: 38, offset_m: -0.020, sigma_m: 0.001}
 
 
 @pytest.fixture
-def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def here(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
@@ -63,7 +63,7 @@ def refused(capsys: pytest.CaptureFixture[str], *words: str) -> str:
 @pytest.mark.parametrize(
     ("to", "name"), [("colmap", "cameras.txt"), ("opencv", "cam.yaml"), ("opencv", "cam.json")]
 )
-def test_a_camera_goes_out_and_comes_back(camera: Camera, to: str, name: str, capsys) -> None:
+def test_a_camera_goes_out_and_comes_back(camera, to, name, capsys):
     write_calibration(Path("ours.yaml"), interior_calibration(camera, SOURCE, block="reference"))
     assert main(["export-camera", "ours.yaml", name, "--to", to]) == 0
     assert "without the sigmas and correlations of ours.yaml" in capsys.readouterr().out
@@ -78,7 +78,7 @@ def test_a_camera_goes_out_and_comes_back(camera: Camera, to: str, name: str, ca
 
 
 @pytest.mark.usefixtures("here")
-def test_what_no_camera_file_can_be_made_of(capsys) -> None:
+def test_what_no_camera_file_can_be_made_of(capsys):
     write_calibration(Path("ours.yaml"), interior_calibration(BROWN, SOURCE))
     assert main(["export-camera", "ours.yaml", "cam.yaml", "--to", "opencv"]) == 0
     before = Path("cam.yaml").read_bytes()
@@ -103,7 +103,7 @@ def test_what_no_camera_file_can_be_made_of(capsys) -> None:
 
 
 @pytest.mark.usefixtures("here")
-def test_imports_name_the_command_that_a_file_is_for(capsys) -> None:
+def test_imports_name_the_command_that_a_file_is_for(capsys):
     write_calibration(Path("ours.yaml"), interior_calibration(BROWN, SOURCE))
     main(["export-camera", "ours.yaml", "cameras.txt", "--to", "colmap"])
     Path("m.txt").write_text("1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n")
@@ -127,7 +127,7 @@ def test_imports_name_the_command_that_a_file_is_for(capsys) -> None:
 
 
 @pytest.mark.usefixtures("here")
-def test_printed_markers_of_a_field_and_of_a_size(capsys) -> None:
+def test_printed_markers_of_a_field_and_of_a_size(capsys):
     Path("field.yaml").write_text(FIELD)
     said = refused(capsys, "print-markers", "a.pdf", "--field", "field.yaml", "--module-mm", "12")
     assert "both --field field.yaml and --module-mm 12; expected one of them" in said
@@ -149,7 +149,7 @@ def test_printed_markers_of_a_field_and_of_a_size(capsys) -> None:
 
 
 @pytest.mark.usefixtures("here")
-def test_describe_prints_the_field(capsys) -> None:
+def test_describe_prints_the_field(capsys):
     Path("cones.yaml").write_text(FIELD)
     assert main(["describe", "cones.yaml"]) == 0
     said = capsys.readouterr().out
@@ -168,7 +168,7 @@ def test_describe_prints_the_field(capsys) -> None:
 
 
 @pytest.mark.usefixtures("here")
-def test_describe_prints_the_clock(capsys) -> None:
+def test_describe_prints_the_clock(capsys):
     clock = ClockModel(
         offset_s=-2.347964,
         reference_s=304_773_426.158,
@@ -193,7 +193,7 @@ def test_describe_prints_the_clock(capsys) -> None:
 
 
 @pytest.mark.usefixtures("here")
-def test_describe_prints_the_mounts(capsys) -> None:
+def test_describe_prints_the_mounts(capsys):
     section = Mounts().model_dump(mode="json")
     mounts = {name: {**section[name], "source": "campaign"} for name in ("lidar", "camera", "antenna")}
     rows = np.eye(6)

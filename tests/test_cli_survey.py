@@ -18,7 +18,7 @@ pytestmark = pytest.mark.real
 
 
 @pytest.fixture(scope="module")
-def words(data_dir: Path) -> list[str]:
+def words(data_dir):
     """The command but for its target: Septentrio rover, GEONET base 5.3 km away, published base position."""
     k = data_dir / "rinex_cssrlib_kinematic_2021"
     return [
@@ -30,7 +30,7 @@ def words(data_dir: Path) -> list[str]:
     ]
 
 
-def test_a_track_with_its_page(words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_track_with_its_page(words, tmp_path, capsys):
     assert main([*words, "--out", str(tmp_path)]) == 0
     said = capsys.readouterr().out
     assert "348 fixed, 12 float" in said
@@ -55,9 +55,7 @@ def test_a_track_with_its_page(words: list[str], tmp_path: Path, capsys: pytest.
     assert "96.7 % of 360 epochs have fixed ambiguities" in page
 
 
-def test_a_base_that_is_farther_than_trusted(
-    words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_base_that_is_farther_than_trusted(words, tmp_path, capsys):
     head, *epochs = Path(words[1]).read_text().split("\n> ")
     rover = tmp_path / "rover.21O"
     rover.write_text("\n> ".join([head, *epochs[:60]]) + "\n")
@@ -93,7 +91,7 @@ def georeference(capture: Path, poses: Path, out: Path, *more: str) -> int:
     return main([*words, "--out", str(out)])
 
 
-def test_a_capture_and_a_table_of_poses_make_a_cloud(data_dir: Path, tmp_path: Path) -> None:
+def test_a_capture_and_a_table_of_poses_make_a_cloud(data_dir, tmp_path):
     reader = lidar_reader([data_dir / CAPTURE], LidarOptions())
     scan = reader.scan()
     poses = still(tmp_path / "poses.tum", scan.report.t_first_s, scan.report.t_last_s)
@@ -120,9 +118,7 @@ def test_a_capture_and_a_table_of_poses_make_a_cloud(data_dir: Path, tmp_path: P
         assert file.header.parse_crs().to_epsg() == 25833
 
 
-def test_a_lidar_without_gps_takes_the_time_of_its_first_packet(
-    data_dir: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_lidar_without_gps_takes_the_time_of_its_first_packet(data_dir, tmp_path, capsys):
     start = float(gps_from_unix(1_600_000_000.0))
     poses = still(tmp_path / "poses.tum", start, start + 6.0)
     out = tmp_path / "cloud.laz"
@@ -142,9 +138,7 @@ def test_a_lidar_without_gps_takes_the_time_of_its_first_packet(
     assert json.loads((tmp_path / "cloud.json").read_text())["points"]["no_pose"] == 0
 
 
-def test_a_trajectory_without_sigmas_is_refused(
-    data_dir: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_trajectory_without_sigmas_is_refused(data_dir, tmp_path, capsys):
     poses = still(tmp_path / "poses.tum", 1e9, 1e9 + 1)
     words = [
         "georeference",

@@ -19,7 +19,7 @@ from tests.test_house import CONDA_NAMES
 
 
 @pytest.mark.parametrize("name", ["Containerfile", "envs/thalweg.def"])
-def test_images_hold_the_locked_environment(repository: Path, name: str) -> None:
+def test_images_hold_the_locked_environment(repository, name):
     text = (repository / name).read_text()
     assert "--require-hashes -r envs/requirements.lock" in text
     assert len(re.findall(r"(?m)^OSVersion: bookworm$|debian:bookworm-slim$", text)) == 1
@@ -28,7 +28,7 @@ def test_images_hold_the_locked_environment(repository: Path, name: str) -> None
     assert "touch .venv/.complete" in text  # else `make` in the image would begin anew
 
 
-def test_the_conda_environment_is_the_locked_one_with_what_the_package_asks_for(repository: Path) -> None:
+def test_the_conda_environment_is_the_locked_one_with_what_the_package_asks_for(repository):
     """Names as `pyproject.toml` asks for them, with all extras; versions, where stated, of the lock."""
     project = tomllib.loads((repository / "pyproject.toml").read_text())["project"]
     extras = project["optional-dependencies"]
@@ -57,7 +57,7 @@ def test_the_conda_environment_is_the_locked_one_with_what_the_package_asks_for(
     assert stated["python"] in SpecifierSet(project["requires-python"])
 
 
-def test_both_images_are_the_same(repository: Path) -> None:
+def test_both_images_are_the_same(repository):
     taken = [
         set(re.findall(r"--no-install-recommends (.*?)(?: \\)?$", text, re.M)[0].split())
         - {"ca-certificates"}
@@ -68,7 +68,7 @@ def test_both_images_are_the_same(repository: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.skipif(not shutil.which("mmdebstrap") or os.geteuid() != 0, reason="needs mmdebstrap and root")
-def test_the_image_is_built_in_a_chroot(repository: Path, tmp_path: Path) -> None:
+def test_the_image_is_built_in_a_chroot(repository, tmp_path):
     """What Apptainer would do, without it: a minimal Debian, the files, `%post`; then a dry run inside."""
     text = (repository / "envs/thalweg.def").read_text()
     head = dict(re.findall(r"(?m)^(\w+): (.*)$", text.split("%files")[0]))
@@ -95,7 +95,7 @@ def test_the_image_is_built_in_a_chroot(repository: Path, tmp_path: Path) -> Non
     assert re.search(r"(?m)^total +\d{2,}$", run.stdout), run.stdout
 
 
-def test_continuous_integration_runs_the_own_command(repository: Path) -> None:
+def test_continuous_integration_runs_the_own_command(repository):
     jobs = yaml.safe_load((repository / ".github/workflows/ci.yml").read_text())["jobs"]
     runs = [step["run"] for job in jobs.values() for step in job["steps"] if "run" in step]
     assert runs == [".ci/run", "make demo", "make dist", "make docs"]
@@ -105,7 +105,7 @@ def test_continuous_integration_runs_the_own_command(repository: Path) -> None:
     assert jobs["test"]["strategy"]["matrix"]["python"] == ["3.11", "3.13"]
 
 
-def test_citation_is_of_this_version(repository: Path) -> None:
+def test_citation_is_of_this_version(repository):
     citation = yaml.safe_load((repository / "CITATION.cff").read_text())
     for name in ("codemeta.json", ".zenodo.json"):
         other = json.loads((repository / name).read_text())
@@ -120,20 +120,20 @@ def test_citation_is_of_this_version(repository: Path) -> None:
     )
 
 
-def test_a_version_of_the_changelog_is_short(repository: Path) -> None:
+def test_a_version_of_the_changelog_is_short(repository):
     _, *versions = re.split(r"(?m)^## ", (repository / "CHANGELOG.md").read_text(encoding="utf-8"))
     assert versions[0].startswith(f"[{thalweg.__version__}]")
     assert {each.split()[0]: n for each in versions if (n := len(each.split())) > 600} == {}
 
 
-def test_the_catalogue_names_a_campaign_that_is_there(repository: Path) -> None:
+def test_the_catalogue_names_a_campaign_that_is_there(repository):
     usage = yaml.safe_load((repository / ".snakemake-workflow-catalog.yml").read_text())["usage"]
     (campaign,) = re.findall(r"campaign=(\w+)", usage["mandatory-flags"]["flags"])
     assert (repository / f"config/campaigns/{campaign}.yaml").is_file()
     assert usage["software-stack-deployment"]["conda"] == (repository / "envs/thalweg.yaml").is_file()
 
 
-def test_the_site_is_locked_beside_the_rest(repository: Path) -> None:
+def test_the_site_is_locked_beside_the_rest(repository):
     """Both locks fill one environment: no package may have two versions, and each has its hashes."""
     versions: dict[str, dict[str, set[str]]] = {}
     for name in ("requirements", "docs"):

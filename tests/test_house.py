@@ -44,7 +44,7 @@ def locked(repository: Path) -> dict[str, list[str]]:
     return found
 
 
-def test_every_locked_package_has_its_hash_and_names_no_place(repository: Path) -> None:
+def test_every_locked_package_has_its_hash_and_names_no_place(repository):
     text = (repository / "envs/requirements.lock").read_text()
     # pip's own rule: a line that ends in a backslash goes on in the next
     lines = [
@@ -59,7 +59,7 @@ def test_every_locked_package_has_its_hash_and_names_no_place(repository: Path) 
     assert [line for line in text.splitlines() if place.search(line)] == []
 
 
-def test_every_dependency_is_locked_at_a_version_that_fits(repository: Path) -> None:
+def test_every_dependency_is_locked_at_a_version_that_fits(repository):
     settings = tomllib.loads((repository / "pyproject.toml").read_text())
     project = settings["project"]
     extras = project["optional-dependencies"]
@@ -72,7 +72,7 @@ def test_every_dependency_is_locked_at_a_version_that_fits(repository: Path) -> 
         assert all(version in requirement.specifier for version in found), (requirement, found)
 
 
-def test_every_dependency_is_used_and_has_its_why_and_licence(repository: Path) -> None:
+def test_every_dependency_is_used_and_has_its_why_and_licence(repository):
     project = tomllib.loads((repository / "pyproject.toml").read_text())["project"]
     extras = [project["optional-dependencies"][name] for name in ("images", "mesh", "gnss", "e57", "report")]
     wanted = [*project["dependencies"], *chain.from_iterable(extras)]
@@ -95,7 +95,7 @@ def test_every_dependency_is_used_and_has_its_why_and_licence(repository: Path) 
     assert unused == set()
 
 
-def test_the_conda_environment_keeps_step_with_the_lock(repository: Path) -> None:
+def test_the_conda_environment_keeps_step_with_the_lock(repository):
     listed = yaml.safe_load((repository / "envs/thalweg.yaml").read_text())["dependencies"]
     pins = [text for entry in listed for text in (entry["pip"] if isinstance(entry, dict) else [entry])]
     versions = locked(repository)
@@ -109,7 +109,7 @@ def test_the_conda_environment_keeps_step_with_the_lock(repository: Path) -> Non
         assert any(f"{v}.".startswith(f"{pinned[0]}.") for v in found), (text, found)
 
 
-def test_actions_are_pinned_by_commit(repository: Path) -> None:
+def test_actions_are_pinned_by_commit(repository):
     """A tag can be moved to other code; the tag that a commit had stands behind it, for people."""
     text = (repository / ".github/workflows/ci.yml").read_text()
     uses = re.findall(r"uses: (.*)", text)
@@ -125,7 +125,7 @@ BEHIND_OTHERS = {"pydantic-core", "contourpy"}
 """Comes with a package that is listed."""
 
 
-def test_every_import_is_provided_by_lock_and_conda_environment(repository: Path) -> None:
+def test_every_import_is_provided_by_lock_and_conda_environment(repository):
     files = [*(repository / "src").rglob("*.py"), *(repository / "workflow/scripts").glob("*.py")]
     tops = {name.split(".")[0] for path in files for name, _ in imports(path)}
     # the extra `ouster` cannot be locked together with Snakemake: docs/decisions.md
@@ -177,7 +177,7 @@ except ThalwegError as error:
     ],
     ids=["the wheel's libusb", "no wheel", "a damaged wheel"],
 )
-def test_open3d_on_a_system_without_libusb(repository: Path, broken: str, answers: list[str]) -> None:
+def test_open3d_on_a_system_without_libusb(repository, broken, answers):
     """Minimal systems lack libusb-1.0, and Open3D's import failed there with a bare OSError."""
     run = subprocess.run(
         [sys.executable, "-c", NO_LIBUSB.format(broken=broken)],
@@ -219,7 +219,7 @@ def entrances_passed(source: Path) -> list[str]:
     ]
 
 
-def test_files_of_others_come_through_one_entrance_each(repository: Path, tmp_path: Path) -> None:
+def test_files_of_others_come_through_one_entrance_each(repository, tmp_path):
     assert entrances_passed(repository / "src/thalweg") == []
     text = "json.loads(a)\nyaml.safe_load(b)\nElementTree.parse(c)\nrasterio.open(d)\nrasterio.open(e, 'w')\n"
     (tmp_path / "a.py").write_text(text)
@@ -366,13 +366,13 @@ def past_the_door(files: list[Path], source: Path) -> list[str]:
     ]
 
 
-def test_packages_are_entered_by_their_front_doors(repository: Path) -> None:
+def test_packages_are_entered_by_their_front_doors(repository):
     source = repository / "src"
     files = [*source.rglob("*.py"), *(repository / "workflow/scripts").glob("*.py")]
     assert past_the_door(files, source) == []
 
 
-def test_a_way_past_the_door_is_found(tmp_path: Path) -> None:
+def test_a_way_past_the_door_is_found(tmp_path):
     for name, text in {
         "thalweg/lidar/__init__.py": "",
         "thalweg/lidar/filters.py": "",
@@ -386,7 +386,7 @@ def test_a_way_past_the_door_is_found(tmp_path: Path) -> None:
     assert found == ["cloud.py:2: imports from thalweg.lidar.filters, not from thalweg.lidar"]
 
 
-def test_every_front_door_opens(repository: Path) -> None:
+def test_every_front_door_opens(repository):
     """Each exported name is there, and no package shows a name twice."""
     source = repository / "src"
     stubs = sorted(source.rglob("__init__.pyi"))
@@ -404,19 +404,19 @@ def test_every_front_door_opens(repository: Path) -> None:
             getattr(package, name)
 
 
-def test_packages_import_each_other_without_circles(repository: Path) -> None:
+def test_packages_import_each_other_without_circles(repository):
     graph = packages_above(repository / "src")
     assert len(graph) > 50
     TopologicalSorter(graph).prepare()  # raises CycleError, which names the circle
 
 
-def test_no_package_imports_a_lower_one(repository: Path) -> None:
+def test_no_package_imports_a_lower_one(repository):
     package = repository / "src/thalweg"
     assert {p.name for p in package.iterdir() if (p / "__init__.py").is_file()} <= set(MAY_IMPORT)
     assert violations(repository / "src") == []
 
 
-def test_the_order_is_that_of_the_contributing_page(repository: Path) -> None:
+def test_the_order_is_that_of_the_contributing_page(repository):
     text = (repository / "CONTRIBUTING.md").read_text()
     order = re.search(r"none imports a lower one:(.*?)\. `workflow`", text, re.S)
     assert order
@@ -453,7 +453,7 @@ UNREACHED = {
 """Modules of the product outside `settings` that no entry script imports, and why."""
 
 
-def test_code_versions_cover_the_library(repository: Path) -> None:
+def test_code_versions_cover_the_library(repository):
     """A module that is reached in another way than by imports could be edited without a rerun."""
     package = repository / "src/thalweg"
     reached = {m for p in (repository / "workflow/scripts").glob("*.py") for m in reached_modules(p)}
@@ -491,7 +491,7 @@ def test_code_versions_cover_the_library(repository: Path) -> None:
         ("thalweg/lidar/a.py", "from .cloud import g\n", "relative import"),
     ],
 )
-def test_a_wrong_import_is_found(tmp_path: Path, path: str, text: str, answer: str) -> None:
+def test_a_wrong_import_is_found(tmp_path, path, text, answer):
     (tmp_path / path).parent.mkdir(parents=True)
     (tmp_path / path).write_text(text)
     (found,) = violations(tmp_path)
@@ -544,14 +544,14 @@ def second_defaults(source: Path, settings: set[tuple[str, Any]]) -> list[tuple[
     return found
 
 
-def test_no_default_of_a_setting_stands_twice(repository: Path) -> None:
+def test_no_default_of_a_setting_stands_twice(repository):
     """`Filters().isolated_radius_m` says it again without stating it."""
     numbers = {(key, value) for key, value in settings_of(Campaign) if isinstance(value, int | float)}
     assert {("interior_variance", 2.0), ("footprint_share", 0.177), ("sigma_time_s", 1e-6)} <= numbers
     assert set(second_defaults(repository / "src/thalweg", numbers)) - OF_OTHER_THINGS == set()
 
 
-def test_a_second_default_is_found(tmp_path: Path) -> None:
+def test_a_second_default_is_found(tmp_path):
     (tmp_path / "a.py").write_text("def f(x, cell_m: float = 0.05, *, edge_m: float = 2): ...\n")
     (tmp_path / "b.py").write_text("class A:\n    cell_m: float = 0.05\n    edge_m: float = A().edge_m\n")
     found = second_defaults(tmp_path, {("cell_m", 0.05), ("edge_m", 3.0)})
@@ -600,7 +600,7 @@ def native_opens(path: Path) -> list[str]:
     return found
 
 
-def test_no_library_opens_a_file_behind_the_check_of_the_truth(repository: Path) -> None:
+def test_no_library_opens_a_file_behind_the_check_of_the_truth(repository):
     files = [*(repository / "src").rglob("*.py"), *(repository / "workflow/scripts").glob("*.py")]
     assert [line for path in files for line in native_opens(path)] == []
 
@@ -616,7 +616,7 @@ def test_no_library_opens_a_file_behind_the_check_of_the_truth(repository: Path)
         ("read_parquet(path)\nread_table(path, KIND)\n", 0),
     ],
 )
-def test_an_opening_in_another_language_is_found(tmp_path: Path, text: str, n: int) -> None:
+def test_an_opening_in_another_language_is_found(tmp_path, text, n):
     (tmp_path / "a.py").write_text(text)
     assert len(native_opens(tmp_path / "a.py")) == n
 
@@ -661,7 +661,7 @@ def rule_fields(repository: Path) -> dict[str, list[str]]:
     return found
 
 
-def test_the_fields_of_a_rule_stand_in_one_order(repository: Path) -> None:
+def test_the_fields_of_a_rule_stand_in_one_order(repository):
     rules = rule_fields(repository)
     assert len(rules) >= 26
     assert {name for name, fields in rules.items() if set(FIELDS) - OPTIONAL - set(fields)} == set()
@@ -670,7 +670,7 @@ def test_the_fields_of_a_rule_stand_in_one_order(repository: Path) -> None:
     } == {}
 
 
-def test_functions_of_rules_stand_apart_from_rules(repository: Path) -> None:
+def test_functions_of_rules_stand_apart_from_rules(repository):
     """One common file a room: rules ask `CAMPAIGNS` through them, and Snakemake's linter wants no mixture."""
     for path in sorted((repository / "workflow/rules").glob("*.smk")):
         text = path.read_text()
@@ -680,7 +680,7 @@ def test_functions_of_rules_stand_apart_from_rules(repository: Path) -> None:
         assert bool(rules) != path.name.startswith("common"), path.name
 
 
-def test_entry_scripts_only_unpack_and_call(repository: Path) -> None:
+def test_entry_scripts_only_unpack_and_call(repository):
     scripts = sorted((repository / "workflow/scripts").glob("*.py"))
     assert len(scripts) >= 26
     for path in scripts:
@@ -700,7 +700,7 @@ MACHINE_PATH = re.compile(r"(?<![\w.])/(?:work|farm|root|tmp|home|Users)/[\w.-]+
 
 
 @pytest.fixture(scope="module")
-def tracked(repository: Path) -> list[Path]:
+def tracked(repository):
     if not (repository / ".git").exists():
         pytest.skip("not a git checkout: which files are tracked is unknown")
     run = subprocess.run(
@@ -709,7 +709,7 @@ def tracked(repository: Path) -> list[Path]:
     return [p for name in run.stdout.split("\0") if name and (p := repository / name).is_file()]
 
 
-def test_no_tracked_file_names_a_registry_or_a_machine(tracked: list[Path], repository: Path) -> None:
+def test_no_tracked_file_names_a_registry_or_a_machine(tracked, repository):
     found, texts = [], 0
     for path in tracked:
         try:
@@ -726,14 +726,14 @@ def test_no_tracked_file_names_a_registry_or_a_machine(tracked: list[Path], repo
     assert found == []
 
 
-def test_the_patterns_find_what_they_are_for() -> None:
+def test_the_patterns_find_what_they_are_for():
     # put together here, so that this file itself stays clean
     assert HOST.search("see https:" + "//files.pythonhosted.org/packages/x.whl")
     assert MACHINE_PATH.search("read('/" + "home/anna/survey.pcap')")
     assert not MACHINE_PATH.search("src/work/a.py and https://example.org/home/page and ../tmp/x")
 
 
-def test_no_tracked_file_is_above_a_megabyte(tracked: list[Path], repository: Path) -> None:
+def test_no_tracked_file_is_above_a_megabyte(tracked, repository):
     sizes = {str(p.relative_to(repository)): p.stat().st_size for p in tracked}
     assert {name: size for name, size in sizes.items() if size > 1_000_000} == {}
 
@@ -741,14 +741,14 @@ def test_no_tracked_file_is_above_a_megabyte(tracked: list[Path], repository: Pa
 # ---------------------------------------------------------------- tests that are there
 
 
-def test_every_test_file_holds_a_test(repository: Path) -> None:
+def test_every_test_file_holds_a_test(repository):
     """A merge once left one line of a file of 747."""
     files = sorted((repository / "tests").rglob("test_*.py"))
     assert len(files) > 400
     assert [path.name for path in files if count_tests(path) == 0] == []
 
 
-def test_every_test_that_documents_name_exists(repository: Path) -> None:
+def test_every_test_that_documents_name_exists(repository):
     """As a file, as a function, or as ``file.py::function``."""
     names = set[str]()  # of modules and of functions
     for path in (repository / "tests").rglob("*.py"):
@@ -762,7 +762,7 @@ def test_every_test_that_documents_name_exists(repository: Path) -> None:
     assert sorted((page, name) for page, name in files if not (repository / name).is_file()) == []
 
 
-def test_tests_that_a_merge_loses_are_missed(tmp_path: Path) -> None:
+def test_tests_that_a_merge_loses_are_missed(tmp_path):
     """The figure may fall only with a row that says why; both sides' figures stand after a merge."""
     (tmp_path / "lidar").mkdir()
     (tmp_path / "lidar/test_a.py").write_text("def test_1(): ...\nclass TestB:\n    def test_2(self): ...\n")
@@ -801,7 +801,7 @@ def words(path: Path) -> set[str]:
     return code_of(path.read_text()).words
 
 
-def test_every_setting_is_used_or_says_why_not(repository: Path) -> None:
+def test_every_setting_is_used_or_says_why_not(repository):
     """By the name of the key alone: a name that several sections share counts for all of them."""
     schema = json.loads((repository / "config/schema.json").read_text())
     keys = list(leaf_keys(schema, schema["$defs"]))
@@ -825,7 +825,7 @@ def test_every_setting_is_used_or_says_why_not(repository: Path) -> None:
     assert all(WITHOUT_USE.values())
 
 
-def test_a_run_without_real_recordings_says_so_at_its_end() -> None:
+def test_a_run_without_real_recordings_says_so_at_its_end():
     """Counted are tests that missed the recordings, not those that missed a program."""
     reports = [
         SimpleNamespace(longrepr=("a.py", 3, f"Skipped: {why}"))
@@ -842,7 +842,7 @@ def test_a_run_without_real_recordings_says_so_at_its_end() -> None:
 # ---------------------------------------------------------------- size
 
 
-def test_no_package_grows_beyond_what_the_page_of_the_architecture_states(repository: Path) -> None:
+def test_no_package_grows_beyond_what_the_page_of_the_architecture_states(repository):
     size = runpy.run_path(str(repository / "docs/make_size.py"))
     stated, now = size["stated"](), size["measured"]()
     grown = {name: n for name, n in now.items() if n > size["SLACK"] * stated.get(name, 0)}
@@ -850,7 +850,7 @@ def test_no_package_grows_beyond_what_the_page_of_the_architecture_states(reposi
     assert set(stated) == set(now)
 
 
-def test_size_weighs_code_and_neither_words_about_it_nor_its_layout(repository: Path) -> None:
+def test_size_weighs_code_and_neither_words_about_it_nor_its_layout(repository):
     tokens_of = runpy.run_path(str(repository / "docs/make_size.py"))["tokens_of"]
     plain = "def f(a):\n    return a + 1\n"
     layout = "    return (\n        a + 1\n    )\n"

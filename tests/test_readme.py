@@ -23,7 +23,7 @@ from thalweg.settings.load import load_campaign
 from thalweg.workflow import codehash
 
 
-def test_the_graph_names_the_packages_that_data_pass(repository: Path) -> None:
+def test_the_graph_names_the_packages_that_data_pass(repository):
     text = (repository / "docs/architecture.md").read_text().split("## How data flow")[1]
     graph = re.search(r"```mermaid\n(.*?)```", text, re.S)
     assert graph
@@ -34,7 +34,7 @@ def test_the_graph_names_the_packages_that_data_pass(repository: Path) -> None:
     assert drawn == packages - {"core", "settings", "workflow", "budgets", "commands"}
 
 
-def test_the_front_page_names_the_commands_that_check_the_software(repository: Path) -> None:
+def test_the_front_page_names_the_commands_that_check_the_software(repository):
     """Demo and tests stand where a stranger tries the software; `.ci/run` calls the latter."""
     block = (repository / "README.md").read_text().split("## Try it")[1].split("\n## ")[0]
     named = re.findall(r"(?m)^    (make \w+)", block)
@@ -42,12 +42,12 @@ def test_the_front_page_names_the_commands_that_check_the_software(repository: P
     assert (repository / ".ci/run").read_text().rstrip().endswith("exec make test")
 
 
-def test_the_front_page_is_read_in_five_minutes(repository: Path) -> None:
+def test_the_front_page_is_read_in_five_minutes(repository):
     words = [word for word in (repository / "README.md").read_text().split() if re.search(r"\w", word)]
     assert 700 <= len(words) <= 900
 
 
-def test_the_page_of_the_rules_is_in_step(repository: Path) -> None:
+def test_the_page_of_the_rules_is_in_step(repository):
     made = runpy.run_path(str(repository / "docs/make_rules.py"))["page"](repository / "workflow/rules")
     assert (repository / "docs/rules.md").read_text() == made, "run .venv/bin/python docs/make_rules.py"
     assert not re.search(r"(?m)^\| `\w+` \|  \|$", made), "a rule without a word on what it does"
@@ -82,7 +82,7 @@ def as_a_shell_splits(line: str, folder: Path) -> list[str]:
     return [str(each) for word in words for each in found.get(word, [word])]
 
 
-def test_the_commands_exist(repository: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_commands_exist(repository, capsys):
     """Each command of a page is one that its own program understands, options and all."""
     makefile = (repository / "Makefile").read_text()
     seen: Counter[str] = Counter()
@@ -104,7 +104,7 @@ def test_the_commands_exist(repository: Path, capsys: pytest.CaptureFixture[str]
     assert {name for name in names if not seen[name]} <= beside
 
 
-def test_messages_of_the_questions_are_printed(repository: Path) -> None:
+def test_messages_of_the_questions_are_printed(repository):
     quoted = re.findall(r"(?m)^> (.+)$", (repository / "docs/faq.md").read_text())
     folders = ("src/thalweg", "workflow")
     text = " ".join(
@@ -119,13 +119,13 @@ def test_messages_of_the_questions_are_printed(repository: Path) -> None:
     assert [words for words in quoted if words not in joined] == sorted(of_snakemake)
 
 
-def test_help_and_the_page_of_single_commands_show_the_same_calls(repository: Path) -> None:
+def test_help_and_the_page_of_single_commands_show_the_same_calls(repository):
     printed = re.findall(r"`thalweg ([a-z-]+) ([^`]*)`", (repository / "docs/commands.md").read_text())
     assert len(printed) > 15
     assert {name: EXAMPLES[name] for name, _ in printed} == dict(printed)
 
 
-def test_the_example_campaign_is_valid(repository: Path, tmp_path: Path) -> None:
+def test_the_example_campaign_is_valid(repository, tmp_path):
     text = re.search(r"```yaml\n(.*?)```", (repository / "docs/tutorial.md").read_text(), re.S)
     assert text
     example = yaml.safe_load(text.group(1))
@@ -164,12 +164,12 @@ def dead_links(root: Path, place: str, text: str) -> list[str]:
     return dead
 
 
-def test_no_link_is_dead(repository: Path) -> None:
+def test_no_link_is_dead(repository):
     dead = {place: dead_links(repository, place, text) for place, text in documents(repository).items()}
     assert {place: links for place, links in dead.items() if links} == {}
 
 
-def test_a_dead_link_is_seen(tmp_path: Path) -> None:
+def test_a_dead_link_is_seen(tmp_path):
     (tmp_path / "a.md").write_text("# One, two `three`\n")
     text = (
         "[x](a.md) [x](a.md#one-two-three) [x](a.md#two) ![x](b.png) [x](https://example.org/c) `[x](d.md)`"
@@ -192,7 +192,7 @@ def unresolved(text: str) -> set[str]:
     return codes
 
 
-def test_no_code_is_undefined(repository: Path) -> None:
+def test_no_code_is_undefined(repository):
     found = {
         place: unresolved(text)
         for place, text in documents(repository).items()
@@ -209,7 +209,7 @@ def test_no_code_is_undefined(repository: Path) -> None:
     assert spelled == []  # captions stand alone in reports: author and year, not a short name
 
 
-def test_an_undefined_code_is_seen() -> None:
+def test_an_undefined_code_is_seen():
     assert unresolved("As C320 and FW28 say, E57 clouds are read.") == {"C320", "FW28"}
     assert unresolved("The budget of P2 Table 1.") == {"P2", "T or P1 to P4"}
     assert unresolved("The budget of [P2](bibliography.md) Table 1.") == set()
@@ -222,7 +222,7 @@ PRIVATE = re.compile(
 """Words for which docs/glossary.md has a term of the field."""
 
 
-def test_pages_use_the_terms_of_the_field(repository: Path) -> None:
+def test_pages_use_the_terms_of_the_field(repository):
     texts = documents(repository) | {
         "workflow/figures.yaml": (repository / "workflow/figures.yaml").read_text()
     }
@@ -236,7 +236,7 @@ def test_pages_use_the_terms_of_the_field(repository: Path) -> None:
     assert {place: words for place, words in found.items() if words} == {}
 
 
-def test_names_in_the_glossary_exist(repository: Path) -> None:
+def test_names_in_the_glossary_exist(repository):
     rows = [line.split("|") for line in (repository / "docs/glossary.md").read_text().splitlines()]
     names = {name for row in rows if len(row) == 6 for name in re.findall(r"`([^`]+)`", row[4])}
     assert len(names) > 80
@@ -251,7 +251,7 @@ def test_names_in_the_glossary_exist(repository: Path) -> None:
     assert {part for part in parts if part not in text} == set()
 
 
-def test_no_placeholder_is_left(repository: Path) -> None:
+def test_no_placeholder_is_left(repository):
     assert "@@" not in (repository / "README.md").read_text()
 
 
@@ -266,7 +266,7 @@ def filled(repository: Path) -> tuple[dict[Path, str], int]:
     return runpy.run_path(str(repository / "docs/make_pages.py"))["pages"](repository)
 
 
-def test_pages_hold_the_recorded_numbers(repository: Path) -> None:
+def test_pages_hold_the_recorded_numbers(repository):
     """A digit that is changed in a page or in a record is found here."""
     made, _ = filled(repository)
     assert repository / "README.md" in made
@@ -274,7 +274,7 @@ def test_pages_hold_the_recorded_numbers(repository: Path) -> None:
         assert path.read_text() == text, f"{path.name}: run .venv/bin/python docs/make_pages.py"
 
 
-def test_pages_say_of_which_code_their_numbers_are(repository: Path) -> None:
+def test_pages_say_of_which_code_their_numbers_are(repository):
     """A record is of the code of its day: a page that quotes one names commit and date."""
     pages = runpy.run_path(str(repository / "docs/make_pages.py"))
     of, environment = validation(repository), pages["environment"]()
@@ -290,7 +290,7 @@ def test_pages_say_of_which_code_their_numbers_are(repository: Path) -> None:
     assert named > 20
 
 
-def test_a_record_is_older_when_its_code_is_another(repository: Path, small: Path) -> None:
+def test_a_record_is_older_when_its_code_is_another(repository, small):
     """Judged by the code at the commit of the record, not by the measure of code of that day."""
     of = validation(repository)
     git = ["git", "-C", str(small), "-c", "user.name=a", "-c", "user.email=a@b.c"]
@@ -315,7 +315,7 @@ def test_a_record_is_older_when_its_code_is_another(repository: Path, small: Pat
     assert of["changed_rules"]("wave_study", entry, small) == ["wave_study"]
 
 
-def test_the_table_of_a_release(repository: Path) -> None:
+def test_the_table_of_a_release(repository):
     of = runpy.run_path(str(repository / "docs/release_check.py"))
     studies = validation(repository)["studies"](repository)
     names = of["order"](studies)
@@ -332,7 +332,7 @@ def test_the_table_of_a_release(repository: Path) -> None:
 
 
 @pytest.fixture
-def small(tmp_path: Path) -> Path:
+def small(tmp_path):
     """A repository with one study, its result as a job leaves it, and a page that quotes it."""
     for folder in ("config/studies", "docs/pages", "results"):
         (tmp_path / folder).mkdir(parents=True)
@@ -361,7 +361,7 @@ def small(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_a_record_says_how_it_was_made_and_fills_the_page(repository: Path, small: Path) -> None:
+def test_a_record_says_how_it_was_made_and_fills_the_page(repository, small):
     of = validation(repository)
 
     def page() -> str:
@@ -389,7 +389,7 @@ def test_a_record_says_how_it_was_made_and_fills_the_page(repository: Path, smal
     assert page() == f"−1.1 **−1.13** (0.90–1.10) 3 1.5\n\n{rest}"
 
 
-def test_a_reference_to_nothing_is_refused(repository: Path, small: Path) -> None:
+def test_a_reference_to_nothing_is_refused(repository, small):
     of = validation(repository)
     of["record"]("wave_study", of["studies"](small)["wave_study"], small, small / "docs/validation")
     page = small / "docs/pages/README.md"
@@ -400,7 +400,7 @@ def test_a_reference_to_nothing_is_refused(repository: Path, small: Path) -> Non
             pages(small)
 
 
-def test_a_result_of_other_sizes_is_not_recorded(repository: Path, small: Path) -> None:
+def test_a_result_of_other_sizes_is_not_recorded(repository, small):
     of = validation(repository)
     path = small / "config/studies/wave_study.yaml"
     path.write_text(path.read_text().replace("seeds: 3", "seeds: 60"))
@@ -408,7 +408,7 @@ def test_a_result_of_other_sizes_is_not_recorded(repository: Path, small: Path) 
         of["record"]("wave_study", of["studies"](small)["wave_study"], small, small / "docs/validation")
 
 
-def test_a_row_of_timings_replaces_that_of_its_campaign(repository: Path, tmp_path: Path) -> None:
+def test_a_row_of_timings_replaces_that_of_its_campaign(repository, tmp_path):
     of = runpy.run_path(str(repository / "docs/make_timings.py"))
     for name in ("tiny", "demo", "tiny"):
         table = of["with_row"](tmp_path / "t.csv", {"campaign": name, "wall_min": 1.0})
@@ -416,7 +416,7 @@ def test_a_row_of_timings_replaces_that_of_its_campaign(repository: Path, tmp_pa
     assert table["campaign"].tolist() == ["demo", "tiny"]
 
 
-def test_records_are_of_the_sizes_of_the_rules(repository: Path) -> None:
+def test_records_are_of_the_sizes_of_the_rules(repository):
     of = validation(repository)
     for name, entry in of["studies"](repository).items():
         assert entry["survey"], name
@@ -478,14 +478,14 @@ def typed(template: str) -> list[str]:
     return found
 
 
-def test_no_number_of_the_twin_is_typed(repository: Path) -> None:
+def test_no_number_of_the_twin_is_typed(repository):
     for page in ("README.md", "accuracy.md"):
         text = (repository / "docs/pages" / page).read_text()
         assert typed(text) == [], page
         assert sum(section.startswith(TWIN) for section in re.split(r"(?m)^## ", text)) >= 2, page
 
 
-def test_a_typed_number_is_seen() -> None:
+def test_a_typed_number_is_seen():
     table = "## Consistency\n\n| case | ours | published |\n| --- | --- | --- |\n| a 0.1 | 1.98 | 2.5 |\n"
     assert typed(table) == ["1.98"]
     assert typed("## Consistency\n\nThe sigma is 0.93 here, {{ x | d(2) }}, P4 4.1 has 15.\n") == ["0.93"]

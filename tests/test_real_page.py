@@ -2,7 +2,6 @@
 
 import re
 import runpy
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -22,7 +21,7 @@ def test_away():
 
 
 @pytest.fixture(scope="module")
-def made(repository: Path) -> dict[str, Any]:
+def made(repository):
     return runpy.run_path(str(repository / "docs/make_real.py"))
 
 
@@ -31,7 +30,7 @@ def row(name: str, *tests: str) -> dict[str, Any]:
     return {"cells": [name, "somebody"], "found": found, "tests": [f"test_a.py::{t}" for t in tests]}
 
 
-def test_what_becomes_of_rows(made: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_becomes_of_rows(made, tmp_path, monkeypatch):
     """Numbers that tests hand over, the reason of a failure, of a skip, and a row that never ran."""
     monkeypatch.setenv("THALWEG_DATA", str(tmp_path / "data"))
     (tmp_path / "test_a.py").write_text(TESTS.replace("{folder}", str(tmp_path / "data")))
@@ -67,7 +66,7 @@ def test_what_becomes_of_rows(made: dict[str, Any], tmp_path: Path, monkeypatch:
     assert [each["cells"][0] for each in made["rows_of"](plan, "AWAY")] == ["away"]
 
 
-def test_the_page_follows_its_rows_and_their_record(made: dict[str, Any], repository: Path) -> None:
+def test_the_page_follows_its_rows_and_their_record(made, repository):
     folder = repository / "docs/validation"
     plan = yaml.safe_load((folder / "real.yaml").read_text(encoding="utf-8"))
     written = made["page"](plan, made["read_record"](folder / "real.csv"))

@@ -210,7 +210,7 @@ def options_of(parser: argparse.ArgumentParser) -> set[str]:
 
 
 @pytest.mark.parametrize("name", sorted(set(commands()) - OF_CAMPAIGNS - BY_NAME_ALONE))
-def test_a_command_names_its_own_options(name: str) -> None:
+def test_a_command_names_its_own_options(name):
     """No setting of a campaign, of which this caller has none, and no option of another command."""
     parser = commands()[name]
     handler = parser.get_default("command")
@@ -223,7 +223,7 @@ def test_a_command_names_its_own_options(name: str) -> None:
     assert sorted(wrong) == []
 
 
-def test_all_that_messages_name_is_there() -> None:
+def test_all_that_messages_name_is_there():
     known = set().union(*(options_of(each) for each in _all_parsers())) | OTHERS
     wrong = set()
     for name, module in modules().items():
@@ -246,7 +246,7 @@ def _all_parsers() -> Iterator[argparse.ArgumentParser]:
                 todo += action.choices.values()
 
 
-def test_options_that_stand_for_settings_are_both_there() -> None:
+def test_options_that_stand_for_settings_are_both_there():
     for name, parser in commands().items():
         for setting, words in (parser.get_default("settings") or {}).items():
             assert exists(setting) or " " in setting, f"{name}: {setting}"

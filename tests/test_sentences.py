@@ -1,7 +1,5 @@
 """Sentences are short enough to be read once: README, captions, documents; of pages: test_page_states."""
 
-from pathlib import Path
-
 import pytest
 import yaml
 
@@ -11,7 +9,7 @@ DENSE, LONG = 28.5, 93
 """What the densest documents hold today, words a sentence on the average and in the longest: never more."""
 
 
-def test_captions_are_short(repository: Path) -> None:
+def test_captions_are_short(repository):
     table = yaml.safe_load((repository / "workflow/figures.yaml").read_text(encoding="utf-8"))
     words = [
         row[key]
@@ -31,11 +29,11 @@ READ_FIRST = (
 
 
 @pytest.mark.parametrize("name", READ_FIRST)
-def test_what_newcomers_read_is_short(repository: Path, name: str) -> None:
+def test_what_newcomers_read_is_short(repository, name):
     assert too_long(of_markdown((repository / name).read_text(encoding="utf-8"))) == []
 
 
-def test_documents_grow_no_longer_sentences(repository: Path) -> None:
+def test_documents_grow_no_longer_sentences(repository):
     found = {
         path.name: lengths(of_markdown(path.read_text(encoding="utf-8")))
         for path in (repository / "docs").rglob("*.md")
@@ -43,7 +41,7 @@ def test_documents_grow_no_longer_sentences(repository: Path) -> None:
     assert [name for name, (mean, longest) in found.items() if mean > DENSE or longest > LONG] == []
 
 
-def test_a_long_sentence_is_seen() -> None:
+def test_a_long_sentence_is_seen():
     long = "word " * (LONGEST + 1) + "end. "
     assert len(too_long(of_html(f"<p>{long}</p><pre>{long}</pre><table><td>{long}</td></table>"))) == 1
     dense = "word " * int(MEAN) + "end. "

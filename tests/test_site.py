@@ -11,12 +11,12 @@ import yaml
 
 
 @pytest.fixture(scope="module")
-def site(repository: Path) -> dict[str, Any]:
+def site(repository):
     return runpy.run_path(str(repository / "docs/make_site.py"))
 
 
 @pytest.fixture(scope="module")
-def pages(site: dict[str, Any], repository: Path) -> dict[str, str]:
+def pages(site, repository):
     """Markdown of all pages, by their place in the site."""
     docs = repository / "docs"
     own = {
@@ -38,9 +38,7 @@ def leaves(nav: Any) -> Iterator[str]:
             yield from leaves(item)
 
 
-def test_the_navigation_holds_every_page(
-    site: dict[str, Any], pages: dict[str, str], repository: Path
-) -> None:
+def test_the_navigation_holds_every_page(site, pages, repository):
     config = yaml.safe_load((repository / "mkdocs.yml").read_text())
     listed = list(leaves(site["on_config"](config)["nav"]))
     assert len(listed) == len(set(listed))
@@ -49,7 +47,7 @@ def test_the_navigation_holds_every_page(
     assert set(listed) == set(pages) - records
 
 
-def test_links_of_the_site_lead_to_pages(pages: dict[str, str], repository: Path) -> None:
+def test_links_of_the_site_lead_to_pages(pages, repository):
     root, dead = Path("/site"), []
     for place, text in pages.items():
         plain = re.sub(r"```.*?```|`[^`\n]*`", "", text, flags=re.S)
@@ -62,13 +60,13 @@ def test_links_of_the_site_lead_to_pages(pages: dict[str, str], repository: Path
     assert dead == []
 
 
-def test_a_link_out_of_the_site_becomes_words(site: dict[str, Any]) -> None:
+def test_a_link_out_of_the_site_becomes_words(site):
     text = "[a](../README.md#try-it) [b](images.md) [c](../Makefile) `[d](../Makefile)` [e](https://x.org)"
     made = "[a](../index.md#try-it) [b](../images.md) c (`Makefile`) `[d](../Makefile)` [e](https://x.org)"
     assert site["moved"](text, "docs/tutorial.md", "howto/tutorial.md") == made
 
 
-def test_the_reference_is_complete(pages: dict[str, str], repository: Path) -> None:
+def test_the_reference_is_complete(pages, repository):
     commands = pages["reference/cli.md"]
     assert "| `--trusted-baseline KM` | `20.0` | ambiguity fixes over a longer baseline" in commands
     assert "| `FILE` | required | campaign file, or id of one |" in commands
@@ -83,7 +81,7 @@ def test_the_reference_is_complete(pages: dict[str, str], repository: Path) -> N
     assert "`njit`: of numba" in pages["api/thalweg.core.md"]
 
 
-def test_notebooks_are_shown_with_what_their_cells_give(pages: dict[str, str]) -> None:
+def test_notebooks_are_shown_with_what_their_cells_give(pages):
     """Their own assertions hold when the site is made."""
     point, clouds = pages["notebooks/lidar_point.md"], pages["notebooks/two_clouds.md"]
     assert re.search(r"```text\nNEES (0\.9[789]|1\.0[012])", point)
@@ -92,7 +90,7 @@ def test_notebooks_are_shown_with_what_their_cells_give(pages: dict[str, str]) -
         assert page.count("](data:image/png;base64,") == 1
 
 
-def test_a_graph_needs_no_network(site: dict[str, Any]) -> None:
+def test_a_graph_needs_no_network(site):
     drawn = site["graph"]("flowchart LR\n    a[(raw logs)] --> b --> c\n    d -. twin .-> a\n")
     boxes = re.findall(r'<rect x="[\d.]+" y="(\d+)".*?>([\w ]+)</text>', drawn)
     rows = sorted({int(y) for y, _ in boxes})

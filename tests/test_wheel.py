@@ -33,7 +33,7 @@ raise SystemExit(main(["print-markers", "markers.pdf", "--ids", "0-3"]))
 
 
 @pytest.fixture(scope="module")
-def built(repository: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def built(repository, tmp_path_factory):
     """The wheel, built as `pip wheel` does, by the locked hatchling."""
     folder = tmp_path_factory.mktemp("wheel")
     return build(repository, folder, "wheel")
@@ -47,7 +47,7 @@ def build(repository: Path, folder: Path, kind: str) -> Path:
 
 
 @pytest.fixture(scope="module")
-def python(built: Path) -> Path:
+def python(built):
     """Interpreter of an empty environment with the wheel, and the packages of this one beside it."""
     folder = built.parent / "venv"
     venv.create(folder)
@@ -66,7 +66,7 @@ def run(python: Path, *words: str, folder: Path) -> subprocess.CompletedProcess[
     )  # fmt: skip
 
 
-def test_the_wheel_holds_what_the_repository_tracks(built: Path, repository: Path) -> None:
+def test_the_wheel_holds_what_the_repository_tracks(built, repository):
     git = ["git", "ls-files", "src", *MAPPED]
     tracked = subprocess.run(git, cwd=repository, capture_output=True, text=True, check=True).stdout.split()
     wanted = {each.removeprefix("src/") for each in tracked if each.startswith("src/")}
@@ -78,13 +78,13 @@ def test_the_wheel_holds_what_the_repository_tracks(built: Path, repository: Pat
     assert {each for each in others if not (repository / "src" / each).exists()} == set()
 
 
-def test_the_same_bytes_twice(built: Path, repository: Path, tmp_path: Path) -> None:
+def test_the_same_bytes_twice(built, repository, tmp_path):
     again = build(repository, tmp_path, "wheel")
     assert again.name == built.name
     assert again.read_bytes() == built.read_bytes()
 
 
-def test_commands_run_from_the_wheel(python: Path, repository: Path, tmp_path: Path) -> None:
+def test_commands_run_from_the_wheel(python, repository, tmp_path):
     assert run(python, "--version", folder=tmp_path).stdout.startswith("thalweg ")
     (tmp_path / "echo.nmea").write_bytes(writers.dbt(2.01).encode())
     described = run(python, "describe", "echo.nmea", folder=tmp_path)
@@ -95,7 +95,7 @@ def test_commands_run_from_the_wheel(python: Path, repository: Path, tmp_path: P
     assert "total                        39.0" in budget.stdout
 
 
-def test_a_campaign_runs_in_a_new_folder(python: Path, tmp_path: Path) -> None:
+def test_a_campaign_runs_in_a_new_folder(python, tmp_path):
     laid = run(python, "init", "surveys", folder=tmp_path)
     assert laid.returncode == 0, laid.stderr
     assert "thalweg run tiny" in laid.stdout
@@ -112,7 +112,7 @@ def test_a_campaign_runs_in_a_new_folder(python: Path, tmp_path: Path) -> None:
     assert "tiny" in unknown.stdout + unknown.stderr
 
 
-def test_another_workflow_takes_it_as_a_module(python: Path, repository: Path, tmp_path: Path) -> None:
+def test_another_workflow_takes_it_as_a_module(python, repository, tmp_path):
     """The declaration of docs/howto/install.md, as Snakedeploy writes it."""
     page = (repository / "docs/howto/install.md").read_text(encoding="utf-8")
     (declared,) = re.findall(r"```python\n(configfile:.+?)```", page, re.S)
@@ -127,14 +127,14 @@ def test_another_workflow_takes_it_as_a_module(python: Path, repository: Path, t
     assert "georeference_lidar" in dry.stdout + dry.stderr
 
 
-def test_without_extras_all_modules_load_and_a_product_names_its_extra(python: Path, tmp_path: Path) -> None:
+def test_without_extras_all_modules_load_and_a_product_names_its_extra(python, tmp_path):
     refused = run(python, "-c", WITHOUT_EXTRAS, folder=tmp_path)
     assert refused.returncode == 2, refused.stderr
     assert "needs the package cv2, which is not installed" in refused.stderr
     assert 'pip install "thalweg[images]"' in refused.stderr
 
 
-def test_extras_are_those_of_the_project(repository: Path) -> None:
+def test_extras_are_those_of_the_project(repository):
     project = tomllib.loads((repository / "pyproject.toml").read_text())["project"]
     extras = project["optional-dependencies"]
     assert set(EXTRAS.values()) <= set(extras)

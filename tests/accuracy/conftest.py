@@ -55,7 +55,7 @@ def surveyed(
 
 
 @pytest.fixture(scope="session")
-def right_surveys(tmp_path_factory: pytest.TempPathFactory) -> Surveys:
+def right_surveys(tmp_path_factory):
     """Processed rightly and with a wrong boresight, the first few with the larger mistakes too."""
 
     def mistakes(seed: int) -> Sequence[PlantedMistake]:
@@ -65,13 +65,13 @@ def right_surveys(tmp_path_factory: pytest.TempPathFactory) -> Surveys:
 
 
 @pytest.fixture(scope="session")
-def surveys(right_surveys: Surveys) -> list[Trial]:
+def surveys(right_surveys):
     """Their errors in three dimensions and from the mesh."""
     return right_surveys.trials
 
 
 @pytest.fixture(scope="session")
-def many_surveys(tmp_path_factory: pytest.TempPathFactory) -> list[Trial]:
+def many_surveys(tmp_path_factory):
     """More of them with all points, processed rightly and with the smallest mistake of the study."""
     time = 0.25
     twin = BANKS | {"ins": {"attitude_time_s": time}, "gnss": {"correlation_time_s": time}}
@@ -80,13 +80,13 @@ def many_surveys(tmp_path_factory: pytest.TempPathFactory) -> list[Trial]:
 
 
 @pytest.fixture(scope="session")
-def wrong_surveys(surveys: list[Trial]) -> list[Trial]:
+def wrong_surveys(surveys):
     """The few with the mistakes that are easily seen."""
     return surveys[:FEW]
 
 
 @pytest.fixture(scope="session")
-def other_surveys(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., list[PointErrors]]:
+def other_surveys(tmp_path_factory):
     """Errors along the normals of surveys of another twin."""
 
     def errors(seeds: int, **twin: Any) -> list[PointErrors]:

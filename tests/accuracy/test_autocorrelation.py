@@ -34,7 +34,7 @@ def smooth_field(rng: np.random.Generator, places: np.ndarray, length_m: float) 
     return np.sqrt(2 / 100) * np.cos(places @ waves.T + phase).sum(axis=1)
 
 
-def test_white_errors_depend_on_no_place(rng: np.random.Generator) -> None:
+def test_white_errors_depend_on_no_place(rng):
     places = bank(rng, 60_000)
     table = local_dependency(places, 0.05 * rng.normal(size=60_000), seed=1)
     found = values(table)
@@ -45,7 +45,7 @@ def test_white_errors_depend_on_no_place(rng: np.random.Generator) -> None:
     assert abs(found["moran_z"]) < 3.5
 
 
-def test_white_errors_of_uneven_size_and_density_give_even_p_values(rng: np.random.Generator) -> None:
+def test_white_errors_of_uneven_size_and_density_give_even_p_values(rng):
     """Errors grow along the bank by a factor of ten, as with range: still no dependency of their mean."""
     places = bank(rng, 12_000)
     places = places[rng.random(len(places)) < 0.2 + 0.8 * (places[:, 0] / 80)]
@@ -58,7 +58,7 @@ def test_white_errors_of_uneven_size_and_density_give_even_p_values(rng: np.rand
     assert np.mean(p < SIGNIFICANT) < 0.06
 
 
-def test_a_smooth_deformation_of_3_cm_is_found_and_measured(rng: np.random.Generator) -> None:
+def test_a_smooth_deformation_of_3_cm_is_found_and_measured(rng):
     places = bank(rng, 60_000)
     field = 0.03 * np.sin(places[:, 0] / 6.0)
     table = local_dependency(places, field + 0.05 * rng.normal(size=60_000), seed=1)
@@ -72,7 +72,7 @@ def test_a_smooth_deformation_of_3_cm_is_found_and_measured(rng: np.random.Gener
     assert "; one pass cannot tell the place from the moment. No local dependency of the spread" in words
 
 
-def test_a_deformation_of_a_millimetre_is_significant_and_negligible(rng: np.random.Generator) -> None:
+def test_a_deformation_of_a_millimetre_is_significant_and_negligible(rng):
     places = bank(rng, 300_000)
     values_m = 0.0015 * np.sin(places[:, 0] / 6.0) + 0.05 * rng.normal(size=300_000)
     words = dependency_in_words(local_dependency(places, values_m, seed=1))
@@ -82,7 +82,7 @@ def test_a_deformation_of_a_millimetre_is_significant_and_negligible(rng: np.ran
     assert "of the variance, 1 mm. " in words
 
 
-def test_the_correlation_length_of_a_known_field(rng: np.random.Generator) -> None:
+def test_the_correlation_length_of_a_known_field(rng):
     """Correlation exp(-d^2 / (2 L^2)) falls to 1/e of that at d_0 where d^2 = 2 L^2 + d_0^2."""
     found, first = [], []
     for _ in range(4):
@@ -108,7 +108,7 @@ def grid(rng: np.random.Generator, size: int = 12) -> Cells:
     )
 
 
-def test_morans_i_is_its_formula(rng: np.random.Generator) -> None:
+def test_morans_i_is_its_formula(rng):
     cells = grid(rng)
     z = (cells.mean_m - np.average(cells.mean_m, weights=cells.n)) * np.sqrt(cells.n) / cells.std_m
     z -= z.mean()
@@ -124,7 +124,7 @@ def test_morans_i_is_its_formula(rng: np.random.Generator) -> None:
     assert morans_i(cells, seed=3) == morans_i(cells, seed=3)
 
 
-def test_components_of_variance_of_uneven_cells(rng: np.random.Generator) -> None:
+def test_components_of_variance_of_uneven_cells(rng):
     """One-way random model with known components, cells of 10 to 90 points."""
     shares, stds = [], []
     for _ in range(40):
@@ -142,7 +142,7 @@ def test_components_of_variance_of_uneven_cells(rng: np.random.Generator) -> Non
     assert np.mean(stds) == pytest.approx(0.02, rel=0.04)
 
 
-def test_cells_hold_what_lies_in_them(rng: np.random.Generator) -> None:
+def test_cells_hold_what_lies_in_them(rng):
     places, values_m = bank(rng, 20_000), rng.normal(size=20_000)
     cells = cells_of(places, values_m)
     assert cells.n.sum() + cells.n_left_out == 20_000
@@ -162,7 +162,7 @@ def cell_of(places: np.ndarray) -> np.ndarray:
     return np.unique(np.floor(places - places.min(axis=0)), axis=0, return_inverse=True)[1].ravel()
 
 
-def test_places_that_differ_alone_are_no_absence_of_dependency(rng: np.random.Generator) -> None:
+def test_places_that_differ_alone_are_no_absence_of_dependency(rng):
     """Offsets of 5 cm, each cell its own: neighbours are not alike, and half the variance is the place's."""
     places = bank(rng, 60_000)
     cell = cell_of(places)
@@ -175,9 +175,7 @@ def test_places_that_differ_alone_are_no_absence_of_dependency(rng: np.random.Ge
     assert "but neighbours are not alike" in words
 
 
-def test_spread_that_depends_on_the_place_is_found_where_sigmas_do_not_say_it(
-    rng: np.random.Generator,
-) -> None:
+def test_spread_that_depends_on_the_place_is_found_where_sigmas_do_not_say_it(rng):
     places = bank(rng, 60_000)
     sigma = 0.05 * (1 + 0.4 * np.sin(places[:, 0] / 6.0))
     errors = sigma * rng.normal(size=60_000)
@@ -194,7 +192,7 @@ def test_spread_that_depends_on_the_place_is_found_where_sigmas_do_not_say_it(
     assert values(told)["spread_variation"] < 0.03
 
 
-def test_spread_of_even_errors_gives_even_p_values(rng: np.random.Generator) -> None:
+def test_spread_of_even_errors_gives_even_p_values(rng):
     """Cells of few and of many points: deviations from the mean of few are smaller; that is allowed for."""
     p = []
     for k in range(60):
@@ -206,19 +204,19 @@ def test_spread_of_even_errors_gives_even_p_values(rng: np.random.Generator) -> 
     assert np.mean(np.array(p) < 0.05) < 0.15
 
 
-def test_few_cells_are_said_to_be_few(rng: np.random.Generator) -> None:
+def test_few_cells_are_said_to_be_few(rng):
     places = rng.uniform(0, 3, (2000, 3)) * [1, 1, 0]
     words = dependency_in_words(local_dependency(places, rng.normal(size=2000), seed=1))
     assert words == "not tested: 9 cells with enough points, 30 are needed"
 
 
-def test_equal_distances_depend_on_nothing(rng: np.random.Generator) -> None:
+def test_equal_distances_depend_on_nothing(rng):
     table = local_dependency(bank(rng, 30_000), np.full(30_000, 0.02), seed=1)
     assert values(table)["moran_p"] == 1.0
     assert dependency_in_words(table).startswith("no local accuracy dependency")
 
 
-def test_the_correlogram_of_many_cells_is_that_of_a_sample(rng: np.random.Generator) -> None:
+def test_the_correlogram_of_many_cells_is_that_of_a_sample(rng):
     cells = grid(rng, 60)
     found = correlogram_of(cells, seed=1)
     assert found == correlogram_of(cells, seed=1)

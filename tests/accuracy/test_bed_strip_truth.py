@@ -35,7 +35,7 @@ def points(
     )
 
 
-def test_heights_are_vertical_and_positive_above() -> None:
+def test_heights_are_vertical_and_positive_above():
     found, lines = compare_bed(points(np.array([0.03, 0.03, -0.01, -0.01]), np.array([0, 0, 1, 1])), bed())
     row = found.iloc[0]
     # a height over a slope of 0.2 is 2 % more than the distance from it; float32 of a metre is 6e-8
@@ -47,7 +47,7 @@ def test_heights_are_vertical_and_positive_above() -> None:
     assert row["ratio"] == pytest.approx(row["rms_m"] / 0.02, rel=1e-6)
 
 
-def test_observed_agrees_with_predicted_where_it_should() -> None:
+def test_observed_agrees_with_predicted_where_it_should():
     rng = np.random.default_rng(3)
     line = np.repeat(np.arange(40), 50)
     height = 0.02 * rng.standard_normal(40)[line] + 0.0003 * rng.standard_normal(2000)
@@ -60,7 +60,7 @@ def test_observed_agrees_with_predicted_where_it_should() -> None:
     assert row["sigma_line_m"] == pytest.approx(0.0003)
 
 
-def test_points_beside_the_bed_are_counted_and_none_is_refused() -> None:
+def test_points_beside_the_bed_are_counted_and_none_is_refused():
     table = points(np.zeros(6), np.zeros(6, dtype=int))
     table.loc[[0, 5], "east_m"] = 20.0
     row, lines = compare_bed(table, bed())

@@ -7,7 +7,7 @@ from thalweg.accuracy.registration import block_covariance, share_within_blocks,
 from thalweg_lab.random_numbers import gauss_markov
 
 
-def test_it_is_the_spread_of_fits_without_one_block(rng: np.random.Generator) -> None:
+def test_it_is_the_spread_of_fits_without_one_block(rng):
     """Least squares are linear: the fits without a block can be made, one by one."""
     n, tau = 4000, 1.0
     t = np.sort(rng.uniform(0.0, 30.0, n))
@@ -29,7 +29,7 @@ def test_it_is_the_spread_of_fits_without_one_block(rng: np.random.Generator) ->
 
 
 @pytest.mark.parametrize("block_s", [2.0, 5.0])
-def test_the_share_within_blocks_is_that_of_sums(rng: np.random.Generator, block_s: float) -> None:
+def test_the_share_within_blocks_is_that_of_sums(rng, block_s):
     x = gauss_markov(rng, 400_000, 0.05, 1.0, 1.0)
     sums = x.reshape(-1, round(block_s / 0.05)).sum(axis=1)
     # 20,000 s are worth 10,000 values of the whole: its variance 2 tau sigma^2 / step^2 an s is known exactly
@@ -37,7 +37,7 @@ def test_the_share_within_blocks_is_that_of_sums(rng: np.random.Generator, block
     assert np.sum(sums**2) / whole == pytest.approx(share_within_blocks(block_s, 1.0), rel=0.06)
 
 
-def test_blocks_are_longer_where_there_are_many_and_pauses_count_for_nothing() -> None:
+def test_blocks_are_longer_where_there_are_many_and_pauses_count_for_nothing():
     def length(duration_s: float) -> float:
         return time_blocks(np.arange(0.0, duration_s, 0.1), 1.0)[1]
 
@@ -49,7 +49,7 @@ def test_blocks_are_longer_where_there_are_many_and_pauses_count_for_nothing() -
     assert (number.max() + 1, size) == (10, 2.0)
 
 
-def test_few_blocks_or_one_that_rules_give_no_covariance(rng: np.random.Generator) -> None:
+def test_few_blocks_or_one_that_rules_give_no_covariance(rng):
     t = np.arange(0.0, 20.0, 0.01)
     ones = np.ones(len(t))
     residual = rng.normal(size=len(t))

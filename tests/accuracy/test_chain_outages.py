@@ -7,7 +7,7 @@ from tests.accuracy.chain_samples import T0, frames_of_images, trajectory
 from thalweg.accuracy import outage_table
 
 
-def test_sigmas_and_shares_are_those_of_the_poses_inside() -> None:
+def test_sigmas_and_shares_are_those_of_the_poses_inside():
     hole = np.ones(1001, bool)
     hole[400:500] = False
     chains = {
@@ -33,7 +33,7 @@ def test_sigmas_and_shares_are_those_of_the_poses_inside() -> None:
     assert found.loc["images", "ins_share"] == pytest.approx(0.5, abs=0.02)
 
 
-def test_no_outage_gives_an_empty_table_with_its_columns() -> None:
+def test_no_outage_gives_an_empty_table_with_its_columns():
     found = outage_table([], {"ins": trajectory(), "fused": trajectory()})
     assert list(found.columns) == [
         "without",

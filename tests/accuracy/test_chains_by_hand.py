@@ -44,7 +44,7 @@ def by_range(constant_m: float, per_metre: float, n: list[int], independent: flo
     return pd.concat([*parts, parts[0].assign(registration="registered", rmse_observed_m=9.0)])
 
 
-def test_who_is_better_where_and_for_certain() -> None:
+def test_who_is_better_where_and_for_certain():
     """INS: 4 cm and 1 mm a metre, camera 2 cm and 2 mm: equal at 20 m; 29 points are too few."""
     n = [30, 29, 60, 60, 60, 60, 60, 60]
     at_m = np.array([10.0, 20.0])
@@ -85,7 +85,7 @@ def test_who_is_better_where_and_for_certain() -> None:
     assert range_facts(table, ALL)["points"] == ALL
 
 
-def test_curves_that_never_cross_or_have_no_class_in_common() -> None:
+def test_curves_that_never_cross_or_have_no_class_in_common():
     table = chains_by_range(
         {"ins": by_range(0.02, 0.001, [60] * 8), "camera": by_range(0.04, 0.002, [60] * 8)}
     )
@@ -112,7 +112,7 @@ def poses(sigma_m: np.ndarray, valid: np.ndarray) -> Trajectory:
     )
 
 
-def test_sigmas_of_unequal_poses() -> None:
+def test_sigmas_of_unequal_poses():
     sigma = np.array([0.01, 0.02, 0.03, 0.05, 0.04, 0.01, 0.01])
     valid = np.array([True] * 5 + [False, True])
     boat = poses(sigma, valid)
@@ -138,7 +138,7 @@ def test_sigmas_of_unequal_poses() -> None:
     assert row["length_s"] == 4.0
 
 
-def test_the_survey_lasts_from_the_first_pose_to_the_last_of_all_chains() -> None:
+def test_the_survey_lasts_from_the_first_pose_to_the_last_of_all_chains():
     """One chain from 1000 to 1006 s, the other from 1003 to 1012 s: shares are of twelve seconds."""
     first = poses(np.full(7, 0.01), np.ones(7, bool))
     other = poses(np.full(10, 0.01), np.ones(10, bool))

@@ -22,7 +22,7 @@ D = np.array([0.01, -0.02, 0.0, 0.3, -0.01, 0.02, -0.61])
 
 
 @pytest.mark.parametrize("border", ["exclude", "keep"])
-def test_every_column_and_count(border: str) -> None:
+def test_every_column_and_count(border):
     normal = UP.copy()
     normal[4] = 0.0  # no normal
     found = SimpleNamespace(

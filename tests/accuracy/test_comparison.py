@@ -35,7 +35,7 @@ def cloud_of(tmp_path: Path, xyz: np.ndarray, **more) -> Path:
     return bank.write_cloud(tmp_path / "points.laz", xyz, **more)
 
 
-def test_distances_and_their_predictions_are_known(tmp_path: Path, rng: np.random.Generator) -> None:
+def test_distances_and_their_predictions_are_known(tmp_path, rng):
     """A plane: points 6 cm behind it, covariance C, normal n: distance -6 cm, sigma sqrt(n C n)."""
     xyz = bank.on_bank(rng, 2000) - 0.06 * bank.OUT
     table, facts = compare_with_mesh(
@@ -55,7 +55,7 @@ def test_distances_and_their_predictions_are_known(tmp_path: Path, rng: np.rando
     assert not table["at_border"].any()
 
 
-def test_every_point_is_accounted_for(tmp_path: Path, rng: np.random.Generator) -> None:
+def test_every_point_is_accounted_for(tmp_path, rng):
     good = bank.on_bank(rng, 3000) + 0.01 * rng.normal(size=(3000, 3))
     wild = bank.on_bank(rng, 40) + 0.8 * bank.OUT
     far = bank.on_bank(rng, 50) + 2.4 * bank.OUT
@@ -88,7 +88,7 @@ def test_every_point_is_accounted_for(tmp_path: Path, rng: np.random.Generator) 
     assert kept["at_border"].sum() == table["at_border"].sum()
 
 
-def test_outliers_are_judged_by_their_own_sigmas(tmp_path: Path, rng: np.random.Generator) -> None:
+def test_outliers_are_judged_by_their_own_sigmas(tmp_path, rng):
     """Sigmas grow with the range: consistent points far away stay, small bushes near the boat do not."""
     n = 40_000
     range_m = rng.uniform(5.0, 75.0, n)
@@ -122,7 +122,7 @@ def test_outliers_are_judged_by_their_own_sigmas(tmp_path: Path, rng: np.random.
         assert ratio == pytest.approx(1.0, abs=0.04)
 
 
-def test_a_motion_keeps_the_rule(tmp_path: Path, rng: np.random.Generator) -> None:
+def test_a_motion_keeps_the_rule(tmp_path, rng):
     """Nothing moves: the same points are outliers."""
     xyz = bank.on_bank(rng, 2000) + 0.02 * rng.standard_t(2, size=(2000, 1)) * bank.OUT
     mesh = bank.bank_mesh()
@@ -132,7 +132,7 @@ def test_a_motion_keeps_the_rule(tmp_path: Path, rng: np.random.Generator) -> No
     assert same["outlier"].equals(table["outlier"])
 
 
-def test_facts_about_what_was_compared(tmp_path: Path, rng: np.random.Generator) -> None:
+def test_facts_about_what_was_compared(tmp_path, rng):
     xyz = bank.on_bank(rng, 40_000) + 0.3 * bank.OUT
     xyz = xyz[xyz[:, 0] < 0.0]
     corners = np.array([[-20.0, -20.0], [20.0, -20.0], [20.0, -6.5], [-20.0, -6.5]])
@@ -158,7 +158,7 @@ def test_facts_about_what_was_compared(tmp_path: Path, rng: np.random.Generator)
     assert predicted["height_p95_m"] == pytest.approx(1.96 * 0.02, rel=1e-4)
 
 
-def test_a_large_cloud_is_sampled_without_preference(tmp_path: Path, rng: np.random.Generator) -> None:
+def test_a_large_cloud_is_sampled_without_preference(tmp_path, rng):
     """Beams follow one another in a fixed order: every 16th point would always be of one beam."""
     n = 32_000
     ring = (np.arange(n) % 16).astype(np.uint8)
@@ -176,7 +176,7 @@ def test_a_large_cloud_is_sampled_without_preference(tmp_path: Path, rng: np.ran
     assert again.equals(table)
 
 
-def test_the_sample_does_not_depend_on_the_chunks(rng: np.random.Generator) -> None:
+def test_the_sample_does_not_depend_on_the_chunks(rng):
     xyz = rng.normal(size=(10_000, 3))
     samples = []
     for size in (10_000, 700, 33):
@@ -192,7 +192,7 @@ def test_the_sample_does_not_depend_on_the_chunks(rng: np.random.Generator) -> N
     np.testing.assert_array_equal(few.columns()["xyz_m"], xyz[:900])
 
 
-def test_points_that_were_moved_are_measured_anew(tmp_path: Path, rng: np.random.Generator) -> None:
+def test_points_that_were_moved_are_measured_anew(tmp_path, rng):
     xyz = bank.on_bank(rng, 1000) - 0.06 * bank.OUT
     mesh = bank.bank_mesh()
     table, _ = compare_with_mesh(cloud_of(tmp_path, xyz), mesh, area=Area(), settings=SETTINGS)
@@ -210,9 +210,7 @@ def test_points_that_were_moved_are_measured_anew(tmp_path: Path, rng: np.random
         ({"sigmas": (0.03, 0.0, 0.03)}, ["standard deviation of zero", "lidar_accuracy"]),
     ],
 )
-def test_clouds_that_lack_their_covariance_are_refused(
-    tmp_path: Path, rng: np.random.Generator, more: dict, words: list[str]
-) -> None:
+def test_clouds_that_lack_their_covariance_are_refused(tmp_path, rng, more, words):
     path = cloud_of(tmp_path, bank.on_bank(rng, 500), **more)
     with pytest.raises(InputError) as refused:
         compare_with_mesh(path, bank.bank_mesh(), area=Area(), settings=SETTINGS)
@@ -220,7 +218,7 @@ def test_clouds_that_lack_their_covariance_are_refused(
         assert word in str(refused.value)
 
 
-def test_every_column_of_the_distances_by_hand(tmp_path: Path) -> None:
+def test_every_column_of_the_distances_by_hand(tmp_path):
     """Names and units, read with pyarrow alone."""
     values = {
         "t_gps_s": 4.0e8, "range_m": 12.5, "east_m": 1.0, "north_m": 2.0, "up_m": 3.0, "distance_m": -0.25,

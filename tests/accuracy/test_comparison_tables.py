@@ -62,7 +62,7 @@ def values(table: pd.DataFrame, points: str = ALL) -> dict[str, float]:
 
 
 @pytest.mark.parametrize("factor", [0.5, 1.0, 2.0])
-def test_ratios_tell_by_how_much_sigmas_are_wrong(rng: np.random.Generator, factor: float) -> None:
+def test_ratios_tell_by_how_much_sigmas_are_wrong(rng, factor):
     table = survey(rng, factor=factor)
     found = values(table)
     assert list(statistics_table(table, SETTINGS).columns) == list(STATISTICS_COLUMNS)
@@ -89,7 +89,7 @@ def test_ratios_tell_by_how_much_sigmas_are_wrong(rng: np.random.Generator, fact
     assert found["observed_correlation"] == pytest.approx(TAU_S, rel=0.35)
 
 
-def test_classes_are_those_of_p2_with_bands_of_their_own(rng: np.random.Generator) -> None:
+def test_classes_are_those_of_p2_with_bands_of_their_own(rng):
     table = survey(rng)
     classes = by_range_table(table, SETTINGS).query("points == @ALL")
     assert list(classes.columns) == list(BY_RANGE_COLUMNS)
@@ -108,7 +108,7 @@ def test_classes_are_those_of_p2_with_bands_of_their_own(rng: np.random.Generato
     assert classes["inside"].dtype == bool
 
 
-def test_classes_are_inside_their_bands_as_often_as_promised(rng: np.random.Generator) -> None:
+def test_classes_are_inside_their_bands_as_often_as_promised(rng):
     """Eight consistent surveys: 95 % of 248 classes, which share errors; overconfident ones are caught."""
     consistent, wrong = [], []
     for _ in range(8):
@@ -121,7 +121,7 @@ def test_classes_are_inside_their_bands_as_often_as_promised(rng: np.random.Gene
     assert np.mean(wrong) < 0.25
 
 
-def test_the_reference_is_part_of_the_prediction(rng: np.random.Generator) -> None:
+def test_the_reference_is_part_of_the_prediction(rng):
     n = 20_000
     table = survey(rng, sigma_reference_m=np.full(n, 0.05))
     sigma = table["sigma_normal_m"].to_numpy().astype(float)
@@ -135,7 +135,7 @@ def test_the_reference_is_part_of_the_prediction(rng: np.random.Generator) -> No
     assert found["sigma_of_bias"] < 0.005
 
 
-def test_the_predicted_error_of_the_mean_is_met(rng: np.random.Generator) -> None:
+def test_the_predicted_error_of_the_mean_is_met(rng):
     tables = [survey(rng, seconds=100.0) for _ in range(300)]
     found = values(tables[0])
     means = [table["distance_m"].mean() for table in tables]
@@ -143,7 +143,7 @@ def test_the_predicted_error_of_the_mean_is_met(rng: np.random.Generator) -> Non
     assert np.std(means) == pytest.approx(found["sigma_of_bias"], rel=0.13)
 
 
-def test_numbers_with_and_without_the_outlier_rule(rng: np.random.Generator) -> None:
+def test_numbers_with_and_without_the_outlier_rule(rng):
     table = survey(rng)
     distance = table["distance_m"].to_numpy().copy()
     wild = np.arange(len(distance)) % 100 == 0
@@ -173,7 +173,7 @@ def test_numbers_with_and_without_the_outlier_rule(rng: np.random.Generator) -> 
     assert fitted["classes"] == fitted["parts"] == ""
 
 
-def test_classes_that_say_little_are_counted(rng: np.random.Generator) -> None:
+def test_classes_that_say_little_are_counted(rng):
     """A short survey: few independent values a class, most of them where the boat stays longest."""
     table = survey(rng, seconds=500.0)
     classes = by_range_table(table, SETTINGS).query("points == @ALL")
@@ -185,7 +185,7 @@ def test_classes_that_say_little_are_counted(rng: np.random.Generator) -> None:
     assert f"Of the {len(only)} inside, all have" in classes_in_words(only)
 
 
-def test_a_mean_beyond_its_sigma_is_named(rng: np.random.Generator) -> None:
+def test_a_mean_beyond_its_sigma_is_named(rng):
     table = survey(rng)
     found = values(table)
     parts = parts_in_words(found | {"bias": 2.1 * found["sigma_of_bias"]})
@@ -194,7 +194,7 @@ def test_a_mean_beyond_its_sigma_is_named(rng: np.random.Generator) -> None:
     assert "within 2 sigma" in parts_in_words(found | {"bias": -1.9 * found["sigma_of_bias"]})
 
 
-def test_points_that_are_not_used_count_nowhere(rng: np.random.Generator) -> None:
+def test_points_that_are_not_used_count_nowhere(rng):
     table = survey(rng)
     table.loc[::2, "used"] = False
     table.loc[::2, "distance_m"] = 99.0

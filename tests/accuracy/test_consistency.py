@@ -13,7 +13,7 @@ def surveys(rng: np.random.Generator, m: int, independent: int) -> tuple[np.ndar
     return predicted * rng.chisquare(independent, m) / independent, predicted
 
 
-def test_the_band_keeps_what_it_promises(rng: np.random.Generator) -> None:
+def test_the_band_keeps_what_it_promises(rng):
     outside = 0
     for _ in range(2000):
         ratio, low, high, _ = ratio_of_surveys(*surveys(rng, 36, 4), level=0.95)
@@ -23,7 +23,7 @@ def test_the_band_keeps_what_it_promises(rng: np.random.Generator) -> None:
 
 
 @pytest.mark.parametrize("factor", [0.8, 1.25])
-def test_wrong_sigmas_leave_the_band(rng: np.random.Generator, factor: float) -> None:
+def test_wrong_sigmas_leave_the_band(rng, factor):
     seen = 0
     for _ in range(200):
         observed, predicted = surveys(rng, 36, 4)
@@ -34,7 +34,7 @@ def test_wrong_sigmas_leave_the_band(rng: np.random.Generator, factor: float) ->
     assert seen > 165
 
 
-def test_the_ratio_is_predicted_over_observed() -> None:
+def test_the_ratio_is_predicted_over_observed():
     ratio, low, high, m = ratio_of_surveys(np.array([4.0, 4.0, 4.0]), np.array([1.0, 1.0, 1.0]))
     assert (ratio, low, high) == pytest.approx((0.5, 1.0, 1.0))
     assert m == pytest.approx(3.0)
@@ -42,14 +42,14 @@ def test_the_ratio_is_predicted_over_observed() -> None:
     assert ratio_of_surveys(np.ones(3), np.array([1.0, 1e-3, 1e-3]))[3] == pytest.approx(1.0, abs=0.01)
 
 
-def test_one_survey_tells_no_spread() -> None:
+def test_one_survey_tells_no_spread():
     with pytest.raises(CoverageError, match="1 surveys with points"):
         ratio_of_surveys(np.array([1.0, 0.0]), np.array([1.0, 0.0]))
     with pytest.raises(CoverageError, match="1 surveys with points"):
         consistency_by_range(np.zeros(5, dtype=int), *(np.ones(5) for _ in range(3)))
 
 
-def test_two_surveys_by_hand() -> None:
+def test_two_surveys_by_hand():
     """Sums 1 and 3 of squares, 1 predicted: q = 2, s / q = sqrt(2 (1 + 1)) / 4 = 0.5; m / (m - 1) is 2.
 
     Student's 97.5 % for one degree of freedom is 12.706 (any table): log q within 6.353, its root half of it.
@@ -59,7 +59,7 @@ def test_two_surveys_by_hand() -> None:
     assert (low, high) == pytest.approx((np.exp(-6.353 / 2), np.exp(6.353 / 2)), rel=1e-3)
 
 
-def test_points_without_a_predicted_variance_are_refused() -> None:
+def test_points_without_a_predicted_variance_are_refused():
     """A sigma of zero, or none, is a mistake: left out, it would make the others look consistent."""
     number, range_m, ones = np.repeat(np.arange(20), 2), np.tile([10.0, 30.0], 20), np.ones(40)
     for wrong in (0.0, -1.0, np.nan):
@@ -72,7 +72,7 @@ def test_points_without_a_predicted_variance_are_refused() -> None:
         ratio_of_surveys(np.array([1.0, 2.0, 3.0, 0.0]), np.array([1.0, 2.0, 0.0, 0.0]))
 
 
-def test_a_table_of_two_classes_by_hand() -> None:
+def test_a_table_of_two_classes_by_hand():
     """Survey A has errors of 1, 3, 6 at 10, 10, 12 m; B of 2, 2, 8: predicted 4, 1, 9 for both.
 
     Class 10: squares 10 and 8 against 5 and 5; class 11 is empty; class 12: 36 and 64 against 9 and 9. Two
@@ -105,7 +105,7 @@ def test_a_table_of_two_classes_by_hand() -> None:
         np.testing.assert_allclose(table[name].to_numpy(dtype=float), values, rtol=1e-4, err_msg=name)
 
 
-def test_what_is_left_at_the_far_end_is_joined_with_the_last_class() -> None:
+def test_what_is_left_at_the_far_end_is_joined_with_the_last_class():
     """Both surveys see 10 and 12 m, one alone 13 and 14 m."""
     number, range_m = np.array([0, 0, 0, 0, 1, 1]), np.array([10.0, 12.0, 13.0, 14.0, 10.0, 12.0])
     table = consistency_by_range(number, range_m, np.ones(6), np.ones(6), least_surveys=1.5)

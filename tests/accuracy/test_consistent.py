@@ -35,11 +35,11 @@ TO_MESH = Quantity("to_mesh", normalised_high=1.28, classes=12, lever=3.0, clock
 
 
 @pytest.fixture(params=[IN_3D, TO_MESH], ids=lambda of: of.name)
-def of(request: pytest.FixtureRequest) -> Quantity:
+def of(request):
     return request.param
 
 
-def test_predicted_and_observed_agree(of: Quantity, surveys: list[Trial]) -> None:
+def test_predicted_and_observed_agree(of, surveys):
     """Not the length of the errors alone: their direction too is that of the ellipsoids."""
     found = of.verdict(surveys)
     assert 0.9 < found.ratio < 1.1
@@ -51,7 +51,7 @@ def test_predicted_and_observed_agree(of: Quantity, surveys: list[Trial]) -> Non
 
 
 @pytest.mark.slow
-def test_no_range_class_is_outside_its_band(of: Quantity, many_surveys: list[Trial]) -> None:
+def test_no_range_class_is_outside_its_band(of, many_surveys):
     """`test_near_and_far_alike` of the points' normals sees sigmas that are wrong in near or far points."""
     many = of.verdict(many_surveys)
     assert len(many.by_range) > of.classes
@@ -59,7 +59,7 @@ def test_no_range_class_is_outside_its_band(of: Quantity, many_surveys: list[Tri
     assert many.consistent
 
 
-def test_a_surface_shows_less_than_the_whole_error(surveys: list[Trial]) -> None:
+def test_a_surface_shows_less_than_the_whole_error(surveys):
     """Why P2 eq. 9 is too much for a comparison with a surface, and the normal component is right."""
     observed = np.sqrt(np.mean([np.mean(survey.to_mesh[NONE.name].squared_m2) for survey in surveys]))
     predicted_3d = np.sqrt(np.mean([np.mean(survey.in_3d[NONE.name].predicted_m2) for survey in surveys]))
@@ -67,14 +67,14 @@ def test_a_surface_shows_less_than_the_whole_error(surveys: list[Trial]) -> None
 
 
 @pytest.mark.parametrize("factor", [0.8, 1.25])
-def test_wrong_sigmas_are_seen_both_ways(of: Quantity, surveys: list[Trial], factor: float) -> None:
+def test_wrong_sigmas_are_seen_both_ways(of, surveys, factor):
     wrong = of.verdict(surveys, sigma_factor=factor)
     assert not wrong.ratio_low < wrong.ratio < wrong.ratio_high
     assert not wrong.normalised_low < wrong.normalised < wrong.normalised_high
     assert not wrong.consistent
 
 
-def test_a_boresight_of_two_tenths_of_a_degree_is_noticed(of: Quantity, surveys: list[Trial]) -> None:
+def test_a_boresight_of_two_tenths_of_a_degree_is_noticed(of, surveys):
     """A turn about the boat's long axis lifts or lowers the whole bank."""
     wrong = of.verdict(surveys, TWICE.name)
     assert wrong.normalised > wrong.normalised_high
@@ -82,14 +82,14 @@ def test_a_boresight_of_two_tenths_of_a_degree_is_noticed(of: Quantity, surveys:
 
 
 @pytest.mark.slow
-def test_a_boresight_of_a_tenth_of_a_degree_is_noticed(of: Quantity, many_surveys: list[Trial]) -> None:
+def test_a_boresight_of_a_tenth_of_a_degree_is_noticed(of, many_surveys):
     """It doubles the variance of roll alone: the ellipsoids no longer fit, though the errors' length may."""
     wrong = of.verdict(many_surveys, MISTAKES[0].name)
     assert wrong.normalised > wrong.normalised_high
     assert not wrong.consistent
 
 
-def test_a_lever_arm_and_a_clock_that_are_wrong_are_noticed(of: Quantity, wrong_surveys: list[Trial]) -> None:
+def test_a_lever_arm_and_a_clock_that_are_wrong_are_noticed(of, wrong_surveys):
     for mistake, at_least in zip(MISTAKES[1:3], (of.lever, of.clock), strict=True):
         wrong = of.verdict(wrong_surveys, mistake.name)
         assert 1 / wrong.ratio > at_least
@@ -97,7 +97,7 @@ def test_a_lever_arm_and_a_clock_that_are_wrong_are_noticed(of: Quantity, wrong_
         assert wrong.normalised > wrong.normalised_high
 
 
-def test_the_table_says_the_same(surveys: list[Trial]) -> None:
+def test_the_table_says_the_same(surveys):
     verdicts, by_range = consistency_tables(surveys[-1:] + surveys[:-1])  # the last has two mistakes alone
     assert len(verdicts) == 4  # two quantities, right and wrong
     row = verdicts[(verdicts["quantity"] == QUANTITIES["to_mesh"]) & (verdicts["mistake"] == NONE.name)].iloc[

@@ -31,7 +31,7 @@ FAR_M = 25.0
 
 
 @pytest.fixture(scope="module")
-def logs(tmp_path_factory: pytest.TempPathFactory) -> Logs:
+def logs(tmp_path_factory):
     settings = survey_settings(
         TWIN, seed=5, mounts={"lidar": LIDAR, "antenna": MOUNTS["antenna"]}, ins=GOOD_ANGLES
     )
@@ -47,7 +47,7 @@ def normalised_square(logs: Logs, divergence_mrad: float) -> tuple[float, int]:
     return float(errors.normalised[far].mean()), int(far.sum())
 
 
-def test_far_points_know_their_footprint_and_a_halved_divergence_is_seen(logs: Logs) -> None:
+def test_far_points_know_their_footprint_and_a_halved_divergence_is_seen(logs):
     right, n = normalised_square(logs, 3.0)
     assert n > 2000
     # the mean of 3 n squares is good to sqrt(2 / (3 n)) = 1.8 %; some millimetres of pose are shared by many

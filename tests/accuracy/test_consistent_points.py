@@ -6,7 +6,6 @@ question is about the sigmas and not about leaves; that of `tiny`, `demo` and `m
 
 import dataclasses
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 import pytest
@@ -40,11 +39,11 @@ def band(seeds: int) -> tuple[float, float]:
 
 
 @pytest.fixture(scope="module")
-def consistent(right_surveys: Any) -> list[PointErrors]:
+def consistent(right_surveys):
     return right_surveys.along_normals
 
 
-def test_normalised_errors_are_inside_their_band(consistent: list[PointErrors]) -> None:
+def test_normalised_errors_are_inside_their_band(consistent):
     low, high = band(len(consistent))
     assert high - low < 0.63  # sigmas that are 15 % too small or too large would be seen
     values = normalised(consistent)
@@ -52,20 +51,20 @@ def test_normalised_errors_are_inside_their_band(consistent: list[PointErrors]) 
 
 
 @pytest.mark.parametrize(("near_m", "far_m"), [(0.0, 17.0), (17.0, 25.0), (25.0, 100.0)])
-def test_near_and_far_alike(consistent: list[PointErrors], near_m: float, far_m: float) -> None:
+def test_near_and_far_alike(consistent, near_m, far_m):
     """Too small a sigma far away must not be made up for by too large a one near by."""
     low, high = band(len(consistent))
     assert low < normalised(consistent, near_m, far_m).mean() < high
 
 
-def test_95_percent_of_the_points_are_within_1_96_sigma(consistent: list[PointErrors]) -> None:
+def test_95_percent_of_the_points_are_within_1_96_sigma(consistent):
     shares = [np.mean(np.abs(e.error_m[e.bare_ground]) < 1.96 * e.sigma_m[e.bare_ground]) for e in consistent]
     # shares of seeds scatter with their few independent errors: the mean is known to std / sqrt(n)
     assert abs(np.mean(shares) - 0.95) < 3 * np.std(shares, ddof=1) / np.sqrt(len(consistent))
     assert abs(np.mean(shares) - 0.95) < 0.02
 
 
-def test_errors_of_seeds_have_no_common_sign(consistent: list[PointErrors]) -> None:
+def test_errors_of_seeds_have_no_common_sign(consistent):
     """A bias shared by all seeds would be an error of the chain, not of the sensors."""
     means = np.array([np.mean((e.error_m / e.sigma_m)[e.bare_ground]) for e in consistent])
     assert abs(means.mean()) < 3 * means.std(ddof=1) / np.sqrt(len(consistent))
@@ -81,21 +80,19 @@ def test_errors_of_seeds_have_no_common_sign(consistent: list[PointErrors]) -> N
     ],
     ids=["motor fields", "heading drift", "range noise"],
 )
-def test_an_effect_that_the_model_does_not_know_is_seen(
-    other_surveys: Others, unknown: dict[str, Any]
-) -> None:
+def test_an_effect_that_the_model_does_not_know_is_seen(other_surveys, unknown):
     (errors,) = other_surveys(1, effects={"lost_packets": 0.75}, **unknown)
     assert normalised([errors])[0] > band(1)[1]
 
 
-def test_sigmas_that_promise_too_little_are_seen(consistent: list[PointErrors]) -> None:
+def test_sigmas_that_promise_too_little_are_seen(consistent):
     """Two-sided: claimed sigmas a quarter too large leave the band below."""
     modest = [dataclasses.replace(errors, sigma_m=1.25 * errors.sigma_m) for errors in consistent]
     assert normalised(modest).mean() < band(len(consistent))[0]
 
 
 @pytest.mark.slow
-def test_on_the_whole_river_too(other_surveys: Others) -> None:
+def test_on_the_whole_river_too(other_surveys):
     """The reach of `tiny` with stones, cobbles, bushes, trees, grass, houses: the same band, a little wider.
 
     Spots that graze a bump or a stone are counted in, which no sigma of a beam foresees; on a bank with

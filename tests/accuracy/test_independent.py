@@ -18,13 +18,13 @@ def visits(rng: np.random.Generator, n: int) -> np.ndarray:
     return rng.permutation(np.concatenate([first, second]))
 
 
-def test_the_sum_equals_that_over_all_pairs(rng: np.random.Generator) -> None:
+def test_the_sum_equals_that_over_all_pairs(rng):
     t, weight = np.sort(visits(rng, 400)), rng.uniform(0.5, 2.0, 400)
     pairs = weight[:, None] * weight[None] * np.exp(-np.abs(t[:, None] - t[None]) / TAU_S)
     assert correlated_sum(t, weight, TAU_S) == pytest.approx(pairs.sum(), rel=1e-12)
 
 
-def test_numbers_equal_their_definitions(rng: np.random.Generator) -> None:
+def test_numbers_equal_their_definitions(rng):
     t, a, b = visits(rng, 300), rng.uniform(0.5, 2.0, 300), rng.uniform(0.0, 0.5, 300)
     rho = np.exp(-np.abs(t[:, None] - t[None]) / TAU_S)
     C = np.sqrt(a[:, None] * a[None]) * rho + np.sqrt(b[:, None] * b[None])
@@ -32,7 +32,7 @@ def test_numbers_equal_their_definitions(rng: np.random.Generator) -> None:
     assert found == pytest.approx(np.trace(C) ** 2 / np.sum(C**2), rel=1e-10)
 
 
-def test_limits() -> None:
+def test_limits():
     t = np.arange(50.0) * 1e6
     assert independent_squares(t, np.ones(50), TAU_S) == pytest.approx(50.0)
     assert independent_squares(np.zeros(50), np.ones(50), TAU_S) == pytest.approx(1.0)
@@ -56,7 +56,7 @@ def outside(t: np.ndarray, sigma: np.ndarray, constant: float, white: float, rng
 
 
 @pytest.mark.parametrize("constant", [0.0, 0.03], ids=["poses", "poses and reference"])
-def test_bands_of_a_class_cover_as_they_say(rng: np.random.Generator, constant: float) -> None:
+def test_bands_of_a_class_cover_as_they_say(rng, constant):
     """Gauss-Markov errors of uneven size at the times of a class: 95 %, and not for want of large ones."""
     t = visits(rng, 300)
     sigma = rng.uniform(0.04, 0.12, 300)
@@ -67,7 +67,7 @@ def test_bands_of_a_class_cover_as_they_say(rng: np.random.Generator, constant: 
 
 
 @pytest.mark.parametrize("tau_s", [5.0, 20.0, 60.0])
-def test_the_correlation_time_of_errors_is_seen_in_them(rng: np.random.Generator, tau_s: float) -> None:
+def test_the_correlation_time_of_errors_is_seen_in_them(rng, tau_s):
     """Also under white noise twice as large, with gaps in time, and if another time was assumed."""
     t = np.arange(0.0, 20_000.0, 0.5)
     error = gauss_markov(rng, len(t), 0.5, 1.0, tau_s) + 2.0 * rng.normal(size=len(t)) + 0.7
@@ -79,14 +79,14 @@ def test_the_correlation_time_of_errors_is_seen_in_them(rng: np.random.Generator
     assert found == pytest.approx(tau_s, rel=0.4)
 
 
-def test_a_correlation_time_that_cannot_be_seen_is_not_made_up(rng: np.random.Generator) -> None:
+def test_a_correlation_time_that_cannot_be_seen_is_not_made_up(rng):
     t = np.arange(0.0, 100.0, 0.1)
     assert np.isnan(observed_correlation_s(t, np.tile([1.0, -1.0], 500), 20.0))
     assert np.isnan(observed_correlation_s(t[:1], np.ones(1), 20.0))
     assert np.isnan(observed_correlation_s(t, np.full(1000, 0.3), 20.0))
 
 
-def test_an_error_is_gross_at_six_sigmas() -> None:
+def test_an_error_is_gross_at_six_sigmas():
     """Five sigmas are a normal error in two million; the outlier rule of the truth must leave it in."""
     errors = PointErrors(
         t_gps_s=np.arange(4.0),

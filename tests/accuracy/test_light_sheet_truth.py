@@ -57,7 +57,7 @@ def changed(sensor: Sensor, **by: float) -> Sensor:
 
 
 @pytest.mark.parametrize("angle_deg", [0.5, 40.0, -170.0])
-def test_turning_the_true_sensor_about_z_changes_nothing(angle_deg: float) -> None:
+def test_turning_the_true_sensor_about_z_changes_nothing(angle_deg):
     found = known(changed(paper_4(), camera_z_mm=0.1, laser_y_mm=-0.2, n_water=1e-3))
     still = compare_sensor(found, paper_4())
     turned = compare_sensor(found, moved(paper_4(), np.deg2rad(angle_deg), (35.0, -80.0)))
@@ -66,14 +66,14 @@ def test_turning_the_true_sensor_about_z_changes_nothing(angle_deg: float) -> No
     np.testing.assert_allclose(turned["normalised"], still["normalised"], atol=1e-7)
 
 
-def test_a_sensor_compared_with_itself_has_no_error() -> None:
+def test_a_sensor_compared_with_itself_has_no_error():
     table = compare_sensor(known(paper_4()), moved(paper_4(), 1.0, (5.0, 5.0)))
     assert tuple(table.columns) == LIGHT_SHEET_COLUMNS
     # the solver of the depths stops at 1e-9 mm
     assert table["estimated_minus_true"].abs().max() < 1e-6
 
 
-def test_depths_of_aligned_sensors_are_those_of_the_true_one() -> None:
+def test_depths_of_aligned_sensors_are_those_of_the_true_one():
     truth = paper_4()
     turned = moved(truth, 0.7, (20.0, 30.0))
     xy = np.random.default_rng(1).uniform(200, 1800, (200, 2))
@@ -84,7 +84,7 @@ def test_depths_of_aligned_sensors_are_those_of_the_true_one() -> None:
 
 
 @pytest.mark.parametrize(("sensor", "held"), [(paper_4(), 1), (paper_3(), 0)], ids=["P4 phi", "P3 omega"])
-def test_a_fan_turned_in_its_plane_is_the_same_sheet(sensor: Sensor, held: int) -> None:
+def test_a_fan_turned_in_its_plane_is_the_same_sheet(sensor, held):
     sheet = sensor.sheet
     other = replace(sheet, angles_rad=np.array(opk_of(sheet.R_lcs_las @ rotation_y(0.03))))
     assert abs(other.angles_rad[held] - sheet.angles_rad[held]) > 0.02
@@ -110,7 +110,7 @@ def _all_but(sensor: Sensor, held: int) -> ArrayF:
     return cov
 
 
-def test_a_turn_that_cannot_be_is_refused() -> None:
+def test_a_turn_that_cannot_be_is_refused():
     sheet = replace(paper_4().sheet, angles_rad=np.array([0.4, 0.0, 0.0]))
     goal = replace(sheet, angles_rad=np.array([0.9, 0.0, 0.0]))
     with pytest.raises(GeometryError, match="laser_omega_rad of the other sensor"):
@@ -120,7 +120,7 @@ def test_a_turn_that_cannot_be_is_refused() -> None:
 # ---------------------------------------------------------------- units
 
 
-def test_errors_and_sigmas_have_their_units() -> None:
+def test_errors_and_sigmas_have_their_units():
     by = {"camera_z_mm": 0.2, "fx": -0.6, "laser_kappa_rad": 1e-3, "n_water": 2e-3}
     table = compare_sensor(changed(known(paper_4()), **by), paper_4()).set_index("what")
     one = table.loc["camera_z"]
@@ -136,7 +136,7 @@ def test_errors_and_sigmas_have_their_units() -> None:
     assert "camera_x" not in table.index
 
 
-def test_the_interior_orientation_is_judged_with_its_correlations() -> None:
+def test_the_interior_orientation_is_judged_with_its_correlations():
     """Principal distance and a distortion, nearly wholly correlated, both off along the correlation."""
     truth = paper_4()
     sigma, rho = np.array([0.5, 1e-3]), -0.9
@@ -166,7 +166,7 @@ def test_the_interior_orientation_is_judged_with_its_correlations() -> None:
     assert not {"image of a ray", "interior orientation jointly"} & wet
 
 
-def test_depths_are_beside_what_their_covariance_predicts() -> None:
+def test_depths_are_beside_what_their_covariance_predicts():
     """Only the water is uncertain, and off by two sigmas: so is every depth."""
     cov = np.zeros((26, 26))
     k = PARAMETERS.index("n_water")
@@ -191,9 +191,7 @@ def test_depths_are_beside_what_their_covariance_predicts() -> None:
 
 
 @pytest.fixture(scope="module", params=[2, pytest.param(8, marks=pytest.mark.slow)])
-def calibrated(
-    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
-) -> list[tuple[Sensor, Sensor]]:
+def calibrated(request, tmp_path_factory):
     """Found and true sensors of some seeds, of more in the slow tests.
 
     Marker field, marks in air, rendered grid, lines, calibration.
@@ -210,7 +208,7 @@ def calibrated(
     return pairs
 
 
-def test_errors_over_seeds_are_what_the_sigmas_say(calibrated: list[tuple[Sensor, Sensor]]) -> None:
+def test_errors_over_seeds_are_what_the_sigmas_say(calibrated):
     table = pd.concat([compare_sensor(found, truth) for found, truth in calibrated])
     square = (table["normalised"] ** 2).groupby(table["what"], sort=False).mean()
     n = len(calibrated)
@@ -234,9 +232,7 @@ def test_errors_over_seeds_are_what_the_sigmas_say(calibrated: list[tuple[Sensor
     assert low < square.mean() < high, square
 
 
-def test_joint_errors_over_seeds_are_what_the_covariance_says(
-    calibrated: list[tuple[Sensor, Sensor]],
-) -> None:
+def test_joint_errors_over_seeds_are_what_the_covariance_says(calibrated):
     """With correlations: squares along the axes of the correlation matrix, none of them a null direction."""
     squares = []
     for found, truth in calibrated:

@@ -37,7 +37,7 @@ def message(tmp_path: Path, xyz, error, *, area: Area | None = None, **settings)
     ("offset", "words"), [(46.3, "46.3 m above the reference"), (-46.3, "46.3 m below the reference")]
 )
 @pytest.mark.parametrize("max_distance_m", [2.0, 100.0])
-def test_another_height_system(tmp_path: Path, rng, offset: float, words: str, max_distance_m: float) -> None:
+def test_another_height_system(tmp_path, rng, offset, words, max_distance_m):
     """Also where the greatest distance is wide enough to compare both all the same."""
     xyz = moved(bank.on_bank(rng, 5000), 0.0, 0.0, offset)
     text = message(tmp_path, xyz, InputError, max_distance_m=max_distance_m)
@@ -55,7 +55,7 @@ def test_another_height_system(tmp_path: Path, rng, offset: float, words: str, m
         assert word in text
 
 
-def test_a_cloud_of_another_crs_or_origin(tmp_path: Path, rng) -> None:
+def test_a_cloud_of_another_crs_or_origin(tmp_path, rng):
     text = message(tmp_path, moved(bank.on_bank(rng, 1000), 377_000.0, 5_656_000.0, 0.0), InputError)
     for word in (
         "do not overlap in plan",
@@ -79,7 +79,7 @@ def test_a_cloud_of_another_crs_or_origin(tmp_path: Path, rng) -> None:
     ],
     ids=["elsewhere", "map coordinates", "too high", "heights of the other frame", "beside"],
 )
-def test_an_area_without_points(tmp_path: Path, rng, area: Area, words: list[str]) -> None:
+def test_an_area_without_points(tmp_path, rng, area, words):
     text = message(tmp_path, bank.on_bank(rng, 2000), CoverageError, area=area)
     for word in (
         "no point of the cloud lies inside the area of interest",
@@ -89,14 +89,14 @@ def test_an_area_without_points(tmp_path: Path, rng, area: Area, words: list[str
         assert word in text
 
 
-def test_an_area_in_a_gap_of_the_cloud(tmp_path: Path, rng) -> None:
+def test_an_area_in_a_gap_of_the_cloud(tmp_path, rng):
     xyz = bank.on_bank(rng, 2000)
     xyz = xyz[abs(xyz[:, 0]) > 3]
     text = message(tmp_path, xyz, CoverageError, area=square_at(0.0, -13.0))
     assert "the area lies in a gap of it" in text
 
 
-def test_a_reference_that_does_not_cover_the_area(tmp_path: Path, rng) -> None:
+def test_a_reference_that_does_not_cover_the_area(tmp_path, rng):
     longer = bank.place(rng.uniform(0, 90, 5000), rng.uniform(0, 8, 5000), 0.0)
     area = Area(polygon_en_m=np.array([[40.0, -30], [70, -30], [70, 0], [40, 0]]))
     text = message(tmp_path, longer, CoverageError, area=area)
@@ -109,7 +109,7 @@ def test_a_reference_that_does_not_cover_the_area(tmp_path: Path, rng) -> None:
         assert word in text
 
 
-def test_everything_too_far(tmp_path: Path, rng) -> None:
+def test_everything_too_far(tmp_path, rng):
     """Half of the points in front, half behind: no height would mend that."""
     xyz = bank.on_bank(rng, 1400)
     xyz[:, 2] += np.where(np.arange(1400) < 700, 5.0, -5.0)
@@ -119,7 +119,7 @@ def test_everything_too_far(tmp_path: Path, rng) -> None:
 
 
 @pytest.mark.parametrize(("offset", "words"), [(3.0, "3.0 m above the ref"), (-8.0, "8.0 m below the ref")])
-def test_heights_that_are_off_by_metres(tmp_path: Path, rng, offset: float, words: str) -> None:
+def test_heights_that_are_off_by_metres(tmp_path, rng, offset, words):
     """An antenna height, a base station's height: nobody is sent to enlarge the greatest distance."""
     text = message(tmp_path, moved(bank.on_bank(rng, 5000), 0.0, 0.0, offset), CoverageError)
     for word in (words, "only 0 of 5,000 points", "Check the heights of both", "the wrong surfaces"):
@@ -127,7 +127,7 @@ def test_heights_that_are_off_by_metres(tmp_path: Path, rng, offset: float, word
     assert "Enlarge" not in text
 
 
-def test_crowns_on_a_reference_that_is_too_high(tmp_path: Path, rng) -> None:
+def test_crowns_on_a_reference_that_is_too_high(tmp_path, rng):
     """Enough points lie near it, and yet it is said that most do not."""
     ground, crowns = bank.on_bank(rng, 3000), bank.on_bank(rng, 1000)
     xyz = np.concatenate([moved(ground, 0.0, 0.0, -3.0), crowns])
@@ -141,7 +141,7 @@ def test_crowns_on_a_reference_that_is_too_high(tmp_path: Path, rng) -> None:
     assert facts["warning"] == ""
 
 
-def test_too_few_points(tmp_path: Path, rng) -> None:
+def test_too_few_points(tmp_path, rng):
     aside = np.where(np.arange(900) % 2, 2.5, -2.5)[:, None] * bank.OUT
     xyz = np.concatenate([bank.on_bank(rng, 120), bank.on_bank(rng, 900) + aside])
     text = message(tmp_path, xyz, CoverageError)
@@ -153,11 +153,11 @@ def test_too_few_points(tmp_path: Path, rng) -> None:
         assert word in text
 
 
-def test_a_cloud_without_points(tmp_path: Path) -> None:
+def test_a_cloud_without_points(tmp_path):
     assert "the cloud holds no points" in message(tmp_path, np.zeros((0, 3)), CoverageError)
 
 
-def test_a_mesh_of_another_local_frame(tmp_path: Path, rng) -> None:
+def test_a_mesh_of_another_local_frame(tmp_path, rng):
     path = bank.write_cloud(tmp_path / "points.laz", bank.on_bank(rng, 400))
     mesh = tmp_path / "mesh.ply"
     assert check_frames(path, mesh, bank.FRAME) == bank.FRAME
@@ -172,7 +172,7 @@ def test_a_mesh_of_another_local_frame(tmp_path: Path, rng) -> None:
         check_frames(tmp_path / "map.laz", mesh, bank.FRAME)
 
 
-def test_reach_loses_no_point_within_the_distance(rng) -> None:
+def test_reach_loses_no_point_within_the_distance(rng):
     mesh = bank.bank_mesh(relief_m=0.4)
     reach = Reach(mesh, 0.8)
     near = bank.on_bank(rng, 3000, relief_m=0.4)

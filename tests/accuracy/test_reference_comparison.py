@@ -26,7 +26,7 @@ def cloud(tmp_path: Path, rng: np.random.Generator, n: int = 6000) -> Path:
     return bank.write_cloud(tmp_path / "points.laz", xyz, range_m=range_m, **more)
 
 
-def test_all_tables_of_an_offset_cloud(tmp_path: Path, rng) -> None:
+def test_all_tables_of_an_offset_cloud(tmp_path, rng):
     settings = ComparisonSettings(correlation_s=0.1)
     path = cloud(tmp_path, rng)
     found = compare_with_reference(path, bank.bank_mesh(), area=Area(), settings=settings, registration=True)
@@ -62,7 +62,7 @@ def test_all_tables_of_an_offset_cloud(tmp_path: Path, rng) -> None:
     assert again.registration == found.registration
 
 
-def test_without_registration_and_where_it_fails(tmp_path: Path, rng, caplog) -> None:
+def test_without_registration_and_where_it_fails(tmp_path, rng, caplog):
     path, settings = cloud(tmp_path, rng, 2000), ComparisonSettings()
     plain = compare_with_reference(path, bank.bank_mesh(), area=Area(), settings=settings, registration=False)
     assert list(plain.statistics["registration"].unique()) == STATES[:1]
@@ -77,7 +77,7 @@ def test_without_registration_and_where_it_fails(tmp_path: Path, rng, caplog) ->
     assert "all points lie on a line" in caplog.text
 
 
-def test_the_entry_script_writes_all_files(tmp_path: Path, rng, repository: Path) -> None:
+def test_the_entry_script_writes_all_files(tmp_path, rng, repository):
     spec = importlib.util.spec_from_file_location(
         "compare_with_reference", repository / "workflow/scripts/compare_with_reference.py"
     )

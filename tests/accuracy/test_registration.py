@@ -21,13 +21,13 @@ RELIEF_M = 0.6
 
 
 @pytest.fixture(scope="module")
-def rough() -> Surface:
+def rough():
     """Relief of decimetres: all six motions are visible."""
     return Surface(bank.bank_mesh(relief_m=RELIEF_M))
 
 
 @pytest.fixture(scope="module")
-def plane() -> Surface:
+def plane():
     return Surface(bank.bank_mesh())
 
 
@@ -65,9 +65,7 @@ def worst(found: Motion, xyz: np.ndarray, wanted: np.ndarray) -> float:
         ([-0.15, 0.10, -0.12], [-0.5, 0.3, 0.2]),
     ],
 )
-def test_a_known_motion_comes_back(
-    rough: Surface, rng, shift: list[float], rotation_deg: list[float]
-) -> None:
+def test_a_known_motion_comes_back(rough, rng, shift, rotation_deg):
     wanted = bank.on_bank(rng, 20_000, relief_m=RELIEF_M)
     xyz, _ = displaced(wanted, shift, rotation_deg)
     found = register(table_of(xyz, rough), rough, SETTINGS)
@@ -76,7 +74,7 @@ def test_a_known_motion_comes_back(
     assert worst(found.motion, xyz, wanted) < 0.002
 
 
-def test_vegetation_in_front_does_not_pull(rough: Surface, rng) -> None:
+def test_vegetation_in_front_does_not_pull(rough, rng):
     """A fifth of the points stands 0.2 to 1 m in front: the median of all is off, the registration is not."""
     wanted = bank.on_bank(rng, 20_000, relief_m=RELIEF_M)
     xyz, _ = displaced(wanted, [0.02, -0.03, 0.05], [0.1, 0.0, -0.1])
@@ -89,7 +87,7 @@ def test_vegetation_in_front_does_not_pull(rough: Surface, rng) -> None:
     assert np.mean(table_of(noisy, rough)["distance_m"]) > 0.03
 
 
-def test_a_plane_leaves_three_motions_and_names_them(plane: Surface, rng) -> None:
+def test_a_plane_leaves_three_motions_and_names_them(plane, rng):
     wanted = bank.on_bank(rng, 20_000)
     tilt = np.cross(bank.OUT, bank.EAST)  # an axis in the plane
     xyz, _ = displaced(wanted, (0.06 * bank.OUT).tolist(), (0.2 * tilt).tolist())
@@ -110,7 +108,7 @@ def test_a_plane_leaves_three_motions_and_names_them(plane: Surface, rng) -> Non
     assert (found.visibility < LEAST_VISIBLE).sum() == 3
 
 
-def test_visibility_does_not_depend_on_the_centre(rough: Surface, rng) -> None:
+def test_visibility_does_not_depend_on_the_centre(rough, rng):
     """Rotations about another place are the same motions, with other shifts."""
     xyz = bank.on_bank(rng, 5000, relief_m=RELIEF_M)
     normal = rough.distances(xyz).normal
@@ -123,7 +121,7 @@ def test_visibility_does_not_depend_on_the_centre(rough: Surface, rng) -> None:
     np.testing.assert_allclose(found[0], found[1], rtol=1e-9)
 
 
-def test_noise_of_the_reference_does_not_feign_relief(rng) -> None:
+def test_noise_of_the_reference_does_not_feign_relief(rng):
     """Triangles of 5 cm with 5 mm of noise look in all directions: the mean normals of cells do not."""
     mesh = bank.bank_mesh(20.0, 6.0, step_m=0.05)
     noisy = type(mesh)(
@@ -183,7 +181,7 @@ def survey(
 
 
 @pytest.mark.parametrize(("duration_s", "plants"), [(400.0, 0.0), (120.0, 0.0), (400.0, 0.1)])
-def test_sigmas_of_shift_and_tilt_are_consistent(duration_s: float, plants: float) -> None:
+def test_sigmas_of_shift_and_tilt_are_consistent(duration_s, plants):
     """Errors over predicted sigmas have the size they should have: neither larger nor smaller."""
     rng = generator(17, f"registration {duration_s} {plants}")
     settings = ComparisonSettings(correlation_s=TAU_S)
@@ -212,7 +210,7 @@ def test_sigmas_of_shift_and_tilt_are_consistent(duration_s: float, plants: floa
 
 
 @pytest.mark.parametrize("tilt_deg", [0.3, 0.5, 0.8])
-def test_a_planted_tilt_is_more_than_poses_explain(tilt_deg: float) -> None:
+def test_a_planted_tilt_is_more_than_poses_explain(tilt_deg):
     """A tilt of the whole cloud up the slope, as of a wrong mount, in a survey of twelve blocks."""
     xyz, t = survey(generator(3, "planted tilt"), duration_s=120.0)
     settings = ComparisonSettings(correlation_s=TAU_S)
@@ -232,7 +230,7 @@ def test_a_planted_tilt_is_more_than_poses_explain(tilt_deg: float) -> None:
         assert sigma < 0.1
 
 
-def test_facts_say_what_was_removed(plane: Surface, rng) -> None:
+def test_facts_say_what_was_removed(plane, rng):
     xyz = bank.on_bank(rng, 5000) - 0.055 * bank.OUT + 0.02 * rng.normal(size=(5000, 3))
     before = table_of(xyz, plane)
     found = register(before, plane, SETTINGS)
@@ -250,7 +248,7 @@ def test_facts_say_what_was_removed(plane: Surface, rng) -> None:
     np.testing.assert_allclose(again, found.motion.apply(xyz), atol=1e-9)
 
 
-def test_a_short_survey_is_too_short_to_test(plane: Surface) -> None:
+def test_a_short_survey_is_too_short_to_test(plane):
     """Five blocks for three motions: a spread of nothing."""
     xyz, t = survey(generator(5, "short"), duration_s=50.0)
     before = table_of(xyz, plane, t)
@@ -265,7 +263,7 @@ def test_a_short_survey_is_too_short_to_test(plane: Surface) -> None:
     json.dumps(facts, allow_nan=False)
 
 
-def test_what_cannot_be_registered(plane: Surface, rng) -> None:
+def test_what_cannot_be_registered(plane, rng):
     few = table_of(bank.on_bank(rng, 60), plane)
     with pytest.raises(GeometryError, match="60 points to register; expected at least 100"):
         register(few, plane, SETTINGS)
@@ -278,7 +276,7 @@ def test_what_cannot_be_registered(plane: Surface, rng) -> None:
         register(table_of(tilted, plane).assign(used=True), plane, wide)
 
 
-def test_full_steps_circle_on_stony_ground_and_shorter_ones_do_not(rng, monkeypatch) -> None:
+def test_full_steps_circle_on_stony_ground_and_shorter_ones_do_not(rng, monkeypatch):
     """On the twin's banks nearest places jumped between faces, 0.02 to 3 mm to and fro, for ever."""
     smooth = bank.bank_mesh(step_m=0.1)
     stones = smooth.vertices_m + 0.04 * rng.standard_normal((len(smooth.vertices_m), 1)) * bank.OUT
@@ -298,7 +296,7 @@ def test_full_steps_circle_on_stony_ground_and_shorter_ones_do_not(rng, monkeypa
         register(table, surface, SETTINGS)
 
 
-def test_sigmas_of_shift_and_rotation_keep_their_names_and_units(plane: Surface, rng) -> None:
+def test_sigmas_of_shift_and_rotation_keep_their_names_and_units(plane, rng):
     """East, north, up 1, 2, 3 mm; 0.01, 0.02, 0.03 degrees."""
     before = table_of(bank.on_bank(rng, 3000), plane)
     sigma = np.array([0.001, 0.002, 0.003, *np.deg2rad([0.01, 0.02, 0.03])])

@@ -41,7 +41,7 @@ def repeated(places: np.ndarray, error: np.ndarray, t: np.ndarray):
     return repeated_places(places, error, t, width_m=1.0, correlation_s=TAU_S, least_points=10)
 
 
-def test_errors_of_poses_do_not_come_back() -> None:
+def test_errors_of_poses_do_not_come_back():
     rng = generator(3, "repeated places")
     p = [repeated(*two_passes(rng, offset_m=0.0, n=15_000)).p for _ in range(60)]
     # 60 even numbers between 0 and 1: their mean scatters by 0.037, the share below 0.05 by 0.028;
@@ -54,7 +54,7 @@ def test_errors_of_poses_do_not_come_back() -> None:
     assert 8 < found.independent < found.n_cells / 5
 
 
-def test_offsets_of_places_come_back_with_their_size() -> None:
+def test_offsets_of_places_come_back_with_their_size():
     rng = generator(4, "repeated places")
     found = [repeated(*two_passes(rng, offset_m=0.03)) for _ in range(10)]
     # 370 offsets know their size to 4 %; the moments' means of 2 cm add 5 mm2 by chance in each survey
@@ -66,7 +66,7 @@ def test_offsets_of_places_come_back_with_their_size() -> None:
     ("offset_m", "wanted"),
     [(0.0, "it is not shown that it is the place"), (0.03, "it is the place, at least in part")],
 )
-def test_the_words_say_which(offset_m: float, wanted: str) -> None:
+def test_the_words_say_which(offset_m, wanted):
     places, error, t = two_passes(generator(6, "words"), offset_m=offset_m, pose_m=0.1)
     words = dependency_in_words(local_dependency(places, error, seed=1, t_gps_s=t, correlation_s=TAU_S))
     assert words.startswith(("mean distances differ by place, or by the moment", "places differ"))
@@ -77,7 +77,7 @@ def test_the_words_say_which(offset_m: float, wanted: str) -> None:
     assert "repeated_p" not in set(table["quantity"])
 
 
-def test_visits_are_parted_at_the_longest_pause(rng: np.random.Generator) -> None:
+def test_visits_are_parted_at_the_longest_pause(rng):
     times = {
         0: [0, 1, 2, 9, 10, 30, 31],
         1: [0, 1, 2, 3, 4, 5, 6],
@@ -94,7 +94,7 @@ def test_visits_are_parted_at_the_longest_pause(rng: np.random.Generator) -> Non
     assert (end - split).tolist() == [2, 3]
 
 
-def test_independent_cells_of_known_maps(rng: np.random.Generator) -> None:
+def test_independent_cells_of_known_maps(rng):
     x, y = (a.ravel().astype(float) for a in np.meshgrid(range(24), range(24)))
     middle = np.stack([x, y, 0 * x], axis=1)
     found = []
@@ -113,7 +113,7 @@ def test_independent_cells_of_known_maps(rng: np.random.Generator) -> None:
     assert block_cells == pytest.approx(576 / 2.75**2, rel=0.15)
 
 
-def test_too_few_repeated_cells_give_no_answer(rng: np.random.Generator) -> None:
+def test_too_few_repeated_cells_give_no_answer(rng):
     places = rng.uniform(0, 4, (4000, 3)) * [1, 1, 0]
     found = repeated(places, rng.normal(size=4000), np.linspace(0, 100, 4000) // 50 * 100)
     assert found.n_cells == 16 < LEAST_CELLS

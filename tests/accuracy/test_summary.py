@@ -1,7 +1,6 @@
 """The summary of a campaign: which figures, with which units, from which file, and how they are printed."""
 
 import json
-from pathlib import Path
 
 import pandas as pd
 import pytest
@@ -49,7 +48,7 @@ with registration,without outliers,rmse,0.8,m
 
 
 @pytest.fixture
-def files(tmp_path: Path) -> dict[str, Path]:
+def files(tmp_path):
     """Tables as the rules before `summarise` leave them."""
     lidar = IntegrityReport(
         stream="lidar",
@@ -92,7 +91,7 @@ def values(table: pd.DataFrame) -> dict[str, tuple[float, str, str]]:
     return {row.quantity: (row.value, row.unit, row.source) for row in table.itertuples()}
 
 
-def test_figures_of_a_real_campaign(files: dict[str, Path]) -> None:
+def test_figures_of_a_real_campaign(files):
     table = summary_table(files["streams"], files["trajectory"], files["counts"])
     assert list(table.columns) == COLUMNS
     found = values(table)
@@ -112,7 +111,7 @@ def test_figures_of_a_real_campaign(files: dict[str, Path]) -> None:
     assert not any("bare ground" in name or "consistent" in name for name in found)
 
 
-def test_figures_of_a_twin_are_those_of_bare_ground(files: dict[str, Path]) -> None:
+def test_figures_of_a_twin_are_those_of_bare_ground(files):
     without = summary_table(files["streams"], files["trajectory"], files["counts"])
     table = summary_table(files["streams"], files["trajectory"], files["counts"], truth=files["truth"])
     added = values(table.iloc[len(without) :])
@@ -130,7 +129,7 @@ def test_figures_of_a_twin_are_those_of_bare_ground(files: dict[str, Path]) -> N
     }
 
 
-def test_figures_of_a_comparison_are_those_as_measured(files: dict[str, Path]) -> None:
+def test_figures_of_a_comparison_are_those_as_measured(files):
     without = summary_table(files["streams"], files["trajectory"], files["counts"])
     table = summary_table(
         files["streams"], files["trajectory"], files["counts"], reference=files["reference"]
@@ -153,7 +152,7 @@ def test_figures_of_a_comparison_are_those_as_measured(files: dict[str, Path]) -
     }
 
 
-def test_no_positions_are_no_share(files: dict[str, Path]) -> None:
+def test_no_positions_are_no_share(files):
     """INS-only campaigns have no GNSS positions."""
     files["trajectory"].write_text(
         json.dumps({"n_positions": 0, "n_positions_used": 0, "n_nodes_valid": 1250})
@@ -162,7 +161,7 @@ def test_no_positions_are_no_share(files: dict[str, Path]) -> None:
     assert values(table)["positions used"] == (0.0, "%", "trajectory.json")
 
 
-def test_lines_are_aligned_and_numbers_readable() -> None:
+def test_lines_are_aligned_and_numbers_readable():
     rows = [
         ("lidar: duration", 25.5, "s", "streams.csv"),
         ("lidar points: written", 2_012_345.0, "1", "counts.csv"),
@@ -182,7 +181,7 @@ def test_lines_are_aligned_and_numbers_readable() -> None:
     assert [line[71:] for line in lines] == [" s", "", " m", " deg"]
 
 
-def test_every_quantity_fits_its_column(files: dict[str, Path]) -> None:
+def test_every_quantity_fits_its_column(files):
     table = summary_table(
         files["streams"],
         files["trajectory"],
@@ -196,7 +195,7 @@ def test_every_quantity_fits_its_column(files: dict[str, Path]) -> None:
     assert all(line[70].isdigit() and line[71:72] in ("", " ") for line in lines)
 
 
-def test_a_stream_without_times_is_printed(files: dict[str, Path]) -> None:
+def test_a_stream_without_times_is_printed(files):
     """A depth log without date has no duration; its empty number stopped the whole summary."""
     table = summary_table(files["streams"], files["trajectory"], files["counts"])
     table.to_csv(files["streams"].with_name("summary.csv"), index=False)
@@ -206,7 +205,7 @@ def test_a_stream_without_times_is_printed(files: dict[str, Path]) -> None:
     assert not any(character.isdigit() for character in line)
 
 
-def test_images_and_riverbed_have_their_lines(files: dict[str, Path], tmp_path: Path) -> None:
+def test_images_and_riverbed_have_their_lines(files, tmp_path):
     """Check points and left-out lines say how well the survey knew: they stand in the summary."""
     images, bed = tmp_path / "adjustment.json", tmp_path / "validation.json"
     checks = {
@@ -233,7 +232,7 @@ def test_images_and_riverbed_have_their_lines(files: dict[str, Path], tmp_path: 
     assert few["check points"] == 0
 
 
-def test_fixes_and_soundings_that_were_refused_are_told(files: dict[str, Path], tmp_path: Path) -> None:
+def test_fixes_and_soundings_that_were_refused_are_told(files, tmp_path):
     """Of raw GNSS and of a sounder; positions that nobody post-processed say nothing of fixes."""
     positions, soundings = tmp_path / "positions.json", tmp_path / "soundings.json"
     facts = {"fix_ratio": 0.9, "n_fixes_refused": {"baseline": 3, "float": 2}}

@@ -19,7 +19,7 @@ from thalweg.accuracy.statistics import consistency_in_words, ratio_band, verdic
         (1.0, 0.9, "too few data"),
     ],
 )
-def test_verdicts_of_squares(normalised: float, n: float, verdict: str) -> None:
+def test_verdicts_of_squares(normalised, n, verdict):
     assert verdict_of(normalised, n) == verdict
 
 
@@ -27,7 +27,7 @@ def test_verdicts_of_squares(normalised: float, n: float, verdict: str) -> None:
     ("ratio", "verdict"),
     [(0.89, "too optimistic"), (0.91, "consistent"), (1.24, "consistent"), (1.26, "too pessimistic")],
 )
-def test_verdicts_of_ratios(ratio: float, verdict: str) -> None:
+def test_verdicts_of_ratios(ratio, verdict):
     """Predicted over observed: below the band sigmas are too small."""
     assert verdict_of_ratio(ratio, 0.9, 1.25) == verdict
     words = consistency_in_words(ratio, 0.9, 1.25)
@@ -38,10 +38,10 @@ def test_verdicts_of_ratios(ratio: float, verdict: str) -> None:
         assert "outside 0.90 to 1.25" in words
 
 
-def test_a_band_as_wide_as_a_factor_of_three_tells_nothing() -> None:
+def test_a_band_as_wide_as_a_factor_of_three_tells_nothing():
     assert verdict_of_ratio(1.0, 0.6, 1.79) == "consistent"
     assert verdict_of_ratio(1.0, 0.6, 1.81) == "too few data"
 
 
-def test_the_band_of_ratios_is_one_over_the_roots_of_that_of_squares() -> None:
+def test_the_band_of_ratios_is_one_over_the_roots_of_that_of_squares():
     assert ratio_band(40) == pytest.approx(((59.342 / 40) ** -0.5, (24.433 / 40) ** -0.5), abs=1e-4)

@@ -3,7 +3,6 @@
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -142,7 +141,7 @@ def bed(survey):
     )
 
 
-def test_points_of_the_shore_are_bounded_and_show_the_same(tmp_path: Path, monkeypatch) -> None:
+def test_points_of_the_shore_are_bounded_and_show_the_same(tmp_path, monkeypatch):
     """Of a long log as many as of a short one, spread over all of it, in the order of the file."""
     line, sigmas = river(), ("sigma_east", "sigma_north", "sigma_up")
     points, up, _ = shore_cloud(line, np.random.default_rng(8))
@@ -195,7 +194,7 @@ def levelled(trajectory: Trajectory) -> WaterLevel:
     return level_water(trajectory, whole, lambda p: p[:, 0], water_line_ics_m=0.2, sigma_datum_m=0.0)
 
 
-def test_fall_and_rise_of_the_water_with_their_sigmas() -> None:
+def test_fall_and_rise_of_the_water_with_their_sigmas():
     rng = np.random.default_rng(8)
     z = []
     for _ in range(25):
@@ -211,14 +210,14 @@ def test_fall_and_rise_of_the_water_with_their_sigmas() -> None:
     assert np.mean(np.square(z)) == pytest.approx(1.0, abs=0.35)  # 75 values
 
 
-def test_one_way_down_cannot_tell_a_rise_from_a_fall() -> None:
+def test_one_way_down_cannot_tell_a_rise_from_a_fall():
     found = levelled(floating(1e-3, 0.0, 0.01, np.random.default_rng(1), back=False))
     assert found.slope == pytest.approx(-1e-3, abs=2e-4)
     assert found.rise_m_per_s == 0.0
     assert any("rise in time: not told" in note for note in found.notes)
 
 
-def test_level_water_needs_a_trajectory() -> None:
+def test_level_water_needs_a_trajectory():
     whole = floating(0.0, 0.0, 0.01, np.random.default_rng(1), back=False)
     blind = replace(whole, valid=np.zeros(len(whole.t_gps_s), dtype=bool))
     with pytest.raises((CoverageError, GeometryError)):
@@ -228,7 +227,7 @@ def test_level_water_needs_a_trajectory() -> None:
 # ---------------------------------------------------------------- banks
 
 
-def test_banks_where_the_ground_meets_the_water(survey) -> None:
+def test_banks_where_the_ground_meets_the_water(survey):
     line, banks, _, _ = survey
     s, n, _ = line.to_flow(banks.table[["east_m", "north_m"]].to_numpy())
     error = np.abs(n) - HALF_M
@@ -243,7 +242,7 @@ def test_banks_where_the_ground_meets_the_water(survey) -> None:
     assert banks.table["sigma_across_m"].to_numpy()[gap].max() > 0.5
 
 
-def test_a_gap_that_is_too_long_has_no_bank(survey) -> None:
+def test_a_gap_that_is_too_long_has_no_bank(survey):
     line, _, _, _ = survey
     cloud = shore_cloud(line, np.random.default_rng(4))
     table = trace_banks(*cloud, line, LEVEL, (30.0, 150.0), Bathymetry(bank_gap_m=5.0))
@@ -251,7 +250,7 @@ def test_a_gap_that_is_too_long_has_no_bank(survey) -> None:
     assert not len(left)
 
 
-def test_axis_without_its_zigzag_and_centre_between_the_banks(survey) -> None:
+def test_axis_without_its_zigzag_and_centre_between_the_banks(survey):
     line, banks, _, _ = survey
     flow = track(line)
     axis = axis_of_track(line.to_map(flow[:, 0], flow[:, 1]))
@@ -261,7 +260,7 @@ def test_axis_without_its_zigzag_and_centre_between_the_banks(survey) -> None:
     assert np.abs(centre_of(banks.table, banks.line).to_flow(at)[1]).max() < 1.0
 
 
-def test_a_long_track_has_its_axis_in_seconds() -> None:
+def test_a_long_track_has_its_axis_in_seconds():
     """A zigzag over 14 km of bends; with a filter whose cost grows with its width it took minutes."""
     x = np.arange(0.0, 13_500.0, 5.0)
     line = FlowLine.through(np.column_stack([x, 150 * np.sin(x / 400)]))
@@ -274,7 +273,7 @@ def test_a_long_track_has_its_axis_in_seconds() -> None:
     assert np.abs(off).max() < 10.0
 
 
-def test_swapped_and_missing_banks_are_named(survey) -> None:
+def test_swapped_and_missing_banks_are_named(survey):
     line, banks, _, _ = survey
     swapped = banks.table.assign(side=banks.table["side"].map({"left": "right", "right": "left"}))
     with pytest.raises(GeometryError, match="100% of the bank's places lie on the other side") as told:
@@ -302,7 +301,7 @@ def errors(bed, line: FlowLine) -> tuple[np.ndarray, np.ndarray]:
     return bed.up_m[known] + depth_m(s, n), np.hypot(bed.sigma_m[known], bed.sigma_common_m[known])
 
 
-def test_bed_of_a_channel_and_its_sigmas(survey, bed) -> None:
+def test_bed_of_a_channel_and_its_sigmas(survey, bed):
     error, sigma = errors(bed, survey[0])
     assert np.sqrt(np.mean(error**2)) < 0.06
     # One observation, of a bed that is smoother than the model's: squares of 0.4. The guard is `bed_study`,
@@ -311,7 +310,7 @@ def test_bed_of_a_channel_and_its_sigmas(survey, bed) -> None:
     assert bed.model.covariance.range_s_m > 2 * bed.model.covariance.range_n_m  # rivers are long
 
 
-def test_no_bed_outside_the_banks(survey, bed) -> None:
+def test_no_bed_outside_the_banks(survey, bed):
     line = survey[0]
     known = np.isfinite(bed.up_m)
     places = FRAME.from_map(np.column_stack([bed.grid.centres_m()[known], np.full(known.sum(), 300.0)]), UTM)[
@@ -323,7 +322,7 @@ def test_no_bed_outside_the_banks(survey, bed) -> None:
     assert np.array_equal(np.isfinite(bands["height_m"]), known)
 
 
-def test_left_out_lines_judge_the_methods(survey, bed) -> None:
+def test_left_out_lines_judge_the_methods(survey, bed):
     _, banks, _, _ = survey
     facts, predicted, methods = validate_bed(bed.data, bed.model, banks.half_widths_m, Bathymetry())
     assert facts["lines"] == predicted.loc[predicted["group"] == "line", "number"].nunique() >= 8
@@ -338,7 +337,7 @@ def test_left_out_lines_judge_the_methods(survey, bed) -> None:
     assert validate_bed(bed.data, sure, banks.half_widths_m, Bathymetry())[0]["normalised_square"] > 3
 
 
-def test_data_of_the_bed_by_source(survey) -> None:
+def test_data_of_the_bed_by_source(survey):
     _, banks, level, table = survey
     strip = pd.DataFrame(
         {
@@ -382,7 +381,7 @@ def field(n_lines: int, rng: np.random.Generator) -> tuple[Observations, Callabl
     return data, lambda at: (np.full(np.shape(at), 12.0), np.full(np.shape(at), 12.0))
 
 
-def test_four_lines_are_no_reason_for_small_sigmas() -> None:
+def test_four_lines_are_no_reason_for_small_sigmas():
     """Four sections between level shorelines: the bed between them is as uncertain as it is wrong."""
     settings, squares = Bathymetry(drift="none"), []
     for seed in range(6):
@@ -423,7 +422,7 @@ def test_four_lines_are_no_reason_for_small_sigmas() -> None:
     assert max(squares) < 4.0
 
 
-def test_a_river_that_is_deeper_where_it_is_narrower_says_so() -> None:
+def test_a_river_that_is_deeper_where_it_is_narrower_says_so():
     """Nine sections far apart: a mean section that knows the width is chosen, and is better between them."""
     rng = np.random.default_rng(9)
 
@@ -458,7 +457,7 @@ def test_a_river_that_is_deeper_where_it_is_narrower_says_so() -> None:
     assert np.sqrt(np.mean(error**2)) < 0.7 * np.sqrt(np.mean(other**2))
 
 
-def test_margins_that_are_rougher_than_the_channel_get_their_own_sigma() -> None:
+def test_margins_that_are_rougher_than_the_channel_get_their_own_sigma():
     """Relief 2.5 times as large near the banks: normalised squares with one relief for all, and with two."""
     squares: dict[str, list[float]] = {"one": [], "two": [], "channel": []}
     found = []
@@ -488,14 +487,14 @@ def test_margins_that_are_rougher_than_the_channel_get_their_own_sigma() -> None
     assert np.mean(squares["one"]) > 1.4
 
 
-def test_a_single_line_is_refused() -> None:
+def test_a_single_line_is_refused():
     data, widths = field(1, np.random.default_rng(0))
     with pytest.raises(GeometryError, match="1 line of soundings") as told:
         choose_model(data, widths, Bathymetry(), slow_time_s=0.0, seed=0)
     check_whole(told.value)
 
 
-def test_a_mean_section_needs_data_across_the_width() -> None:
+def test_a_mean_section_needs_data_across_the_width():
     data, widths = field(4, np.random.default_rng(0))
     deep = data.lifted(data.height_m + 3 * (data.n_m / 12) ** 2)
     chosen = choose_model(deep, widths, Bathymetry(model="exponential"), slow_time_s=0.0, seed=0)
@@ -505,7 +504,7 @@ def test_a_mean_section_needs_data_across_the_width() -> None:
     assert "section, exponential" not in chosen.compared
 
 
-def test_model_written_and_read_is_the_same() -> None:
+def test_model_written_and_read_is_the_same():
     import json
 
     data, widths = field(4, np.random.default_rng(0))
@@ -522,7 +521,7 @@ def test_model_written_and_read_is_the_same() -> None:
         assert getattr(again, name) == getattr(model, name)
 
 
-def test_a_light_sheet_that_contradicts_the_soundings_is_left_out(survey, monkeypatch) -> None:
+def test_a_light_sheet_that_contradicts_the_soundings_is_left_out(survey, monkeypatch):
     """Points of the same bed stay; those of ground 30 cm above it go: the bed is as without them."""
     monkeypatch.setattr("thalweg.bathymetry.variogram._STEPS", 12)
     line, banks, level, table = survey
@@ -566,7 +565,7 @@ def test_a_light_sheet_that_contradicts_the_soundings_is_left_out(survey, monkey
     assert not np.array_equal(right.up_m, without.up_m, equal_nan=True)
 
 
-def test_lengths_over_which_errors_are_alike_give_the_sigma_of_a_mean() -> None:
+def test_lengths_over_which_errors_are_alike_give_the_sigma_of_a_mean():
     """Mean error over the river, and over cross-sections, of 60 fields: normalised squares."""
     true = CovarianceModel(kind="exponential", sill_m2=0.09, range_s_m=60.0, range_n_m=8.0)
     model = BedModel(drift=Drift(kind="none"), covariance=true, compared={}, reason="")
@@ -606,7 +605,7 @@ def test_lengths_over_which_errors_are_alike_give_the_sigma_of_a_mean() -> None:
     assert np.mean(of_sections) == pytest.approx(1.0, abs=0.3)
 
 
-def test_soundings_outside_the_banks_are_counted_and_most_of_them_refused(survey) -> None:
+def test_soundings_outside_the_banks_are_counted_and_most_of_them_refused(survey):
     line, banks, level, table = survey
     # a bank line that was drawn too near cuts off the outermost soundings
     near = replace(banks, table=banks.table.assign(n_m=banks.table["n_m"] * 0.7))
@@ -635,7 +634,7 @@ def table_of_others(path, line: FlowLine, *, depth: bool, lift_m: float = 0.0):
 
 
 @pytest.mark.parametrize("depth", [False, True])
-def test_soundings_of_others_are_data_of_the_bed(survey, tmp_path, depth: bool) -> None:
+def test_soundings_of_others_are_data_of_the_bed(survey, tmp_path, depth):
     line, banks, level, own = survey
     settings = Bathymetry(table={"column": "z", "depth": depth, "line_column": "line"})
     path = table_of_others(tmp_path / "others.csv", line, depth=depth)
@@ -651,14 +650,14 @@ def test_soundings_of_others_are_data_of_the_bed(survey, tmp_path, depth: bool) 
     assert (of["sigma_common_m"] >= settings.table.sigma_common_m).all()
 
 
-def test_heights_of_another_datum_are_refused(survey, tmp_path) -> None:
+def test_heights_of_another_datum_are_refused(survey, tmp_path):
     path = table_of_others(tmp_path / "others.csv", survey[0], depth=False, lift_m=-45.0)
     with pytest.raises(InputError, match="ellipsoidal heights") as told:
         read_other_soundings([path], FRAME, UTM, Bathymetry())
     check_whole(told.value)
 
 
-def test_a_reference_bed_tells_how_far_off_the_bed_is(survey, bed, tmp_path) -> None:
+def test_a_reference_bed_tells_how_far_off_the_bed_is(survey, bed, tmp_path):
     write_raster(tmp_path / "bed.tif", bed.grid, bed.bands(FRAME), tags={})
     at = FRAME.from_map(
         np.column_stack([bed.grid.centres_m(), np.full(bed.grid.rows * bed.grid.columns, 300.0)]), UTM

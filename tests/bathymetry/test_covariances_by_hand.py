@@ -41,7 +41,7 @@ def positive(rng: np.random.Generator, sigmas: np.ndarray) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def tilted() -> SimpleNamespace:
+def tilted():
     """A boat that rolls and pitches, full covariances of pose and lever, a tilted beam, a late clock."""
     rng = np.random.default_rng(8)
     pose = positive(rng, np.array([0.03, 0.05, 0.04, 0.004, 0.006, 0.008]))
@@ -87,7 +87,7 @@ def place(of: SimpleNamespace, e: np.ndarray) -> np.ndarray:
     return np.asarray(e[:3] + late + turned.apply(LEVER + e[6:9] + (3.0 * (1 + e[10]) + e[9]) * beam))
 
 
-def test_the_covariance_of_a_sounding_is_that_of_all_its_errors(tilted: SimpleNamespace) -> None:
+def test_the_covariance_of_a_sounding_is_that_of_all_its_errors(tilted):
     """Numerical derivatives of an independent formula, all cross terms of pose and lever included."""
     J = np.empty((3, 15))
     for k in range(15):
@@ -118,7 +118,7 @@ def test_the_covariance_of_a_sounding_is_that_of_all_its_errors(tilted: SimpleNa
     assert tilted.row["sigma_common_m"] == pytest.approx(np.sqrt(common), rel=1e-4)
 
 
-def test_a_slope_turns_horizontal_errors_into_errors_of_the_height(tilted: SimpleNamespace) -> None:
+def test_a_slope_turns_horizontal_errors_into_errors_of_the_height(tilted):
     """Var(h) = e2 ee + 2 e n en + n2 nn for slopes e, n; with the sign of their product."""
     table = tilted.table
     for e, n in ((0.3, 0.2), (0.3, -0.2)):
@@ -128,7 +128,7 @@ def test_a_slope_turns_horizontal_errors_into_errors_of_the_height(tilted: Simpl
         assert sloped["sigma_slow_m"].iloc[50] == pytest.approx(np.sqrt(row["sigma_slow_m"] ** 2 + more))
 
 
-def test_the_factor_of_the_sound_has_the_sigmas_of_temperature_and_instrument() -> None:
+def test_the_factor_of_the_sound_has_the_sigmas_of_temperature_and_instrument():
     """1447.27, and from 1426.16 at 5 to 1465.93 m/s at 15 degrees (Del Grosso's table); squares add."""
     echo = EchoSounder(
         set_sound_speed_mps=1500.0, water_temperature_c=10.0, sigma_temperature_c=2.0, sigma_sound_speed=0.01
@@ -154,7 +154,7 @@ def apart(n: int, slow_m: float, white_m: float, rng: np.random.Generator) -> Cr
     )  # fmt: skip
 
 
-def test_the_size_of_slow_errors_is_known_as_well_as_so_many_crossings_say() -> None:
+def test_the_size_of_slow_errors_is_known_as_well_as_so_many_crossings_say():
     """A factor from n independent differences has sigma 1 / sqrt(2 n) on its logarithm, beside the prior."""
     factor, time, _ = _estimated(apart(60, 0.1, 0.001, np.random.default_rng(1)), 10.0)
     expected = (2 * 60 + np.log(SPREAD) ** -2) ** -0.5
@@ -164,7 +164,7 @@ def test_the_size_of_slow_errors_is_known_as_well_as_so_many_crossings_say() -> 
     assert nothing.sigma_log == pytest.approx(np.log(SPREAD), rel=0.03)
 
 
-def test_twice_the_same_lines_tell_no_more() -> None:
+def test_twice_the_same_lines_tell_no_more():
     """Crossings of lines that share their slow error: many of them leave the factor as it is."""
     rng = np.random.default_rng(2)
     one = apart(25, 0.1, 0.02, rng)
@@ -173,7 +173,7 @@ def test_twice_the_same_lines_tell_no_more() -> None:
     assert repeated == pytest.approx(few, rel=0.1)
 
 
-def test_slow_errors_grow_by_the_factor_and_variances_by_its_square() -> None:
+def test_slow_errors_grow_by_the_factor_and_variances_by_its_square():
     """Four lines to the east, four to the north, with errors of a line twice as large as stated."""
     rng = np.random.default_rng(14)
     k = np.arange(10.0)
@@ -203,7 +203,7 @@ def test_slow_errors_grow_by_the_factor_and_variances_by_its_square() -> None:
     assert facts["normalised_square_after"] == pytest.approx(np.mean(found.difference_m**2 / after))
 
 
-def test_the_later_day_lies_higher_whichever_was_numbered_first() -> None:
+def test_the_later_day_lies_higher_whichever_was_numbered_first():
     """Three lines to the east, three to the north 0.4 m higher; parts numbered either way."""
     k = np.arange(9.0)
     legs = [np.column_stack([k, np.full(9, y)]) for y in (1.5, 3.5, 5.5)]
@@ -221,7 +221,7 @@ def test_the_later_day_lies_higher_whichever_was_numbered_first() -> None:
 # ---------------------------------------------------------------- bed
 
 
-def test_heights_far_from_zero_are_kriged_as_heights_near_zero() -> None:
+def test_heights_far_from_zero_are_kriged_as_heights_near_zero():
     """One constant on all heights is the same constant on the bed: nothing else of it changes."""
     rng = np.random.default_rng(3)
     model = CovarianceModel(
@@ -242,7 +242,7 @@ def test_heights_far_from_zero_are_kriged_as_heights_near_zero() -> None:
     assert np.ptp(np.array(found)[[1, 3]], axis=0) == pytest.approx(0.0, abs=1e-9)
 
 
-def test_a_sounding_has_its_own_errors_and_small_relief_by_the_roughness_there() -> None:
+def test_a_sounding_has_its_own_errors_and_small_relief_by_the_roughness_there():
     """0.03, 0.04 and three times a relief of 0.05: in squares."""
     bed = SimpleNamespace(
         covariance=SimpleNamespace(micro_m2=0.05**2), roughness=lambda places: 3.0 + 0 * places[:, 0]

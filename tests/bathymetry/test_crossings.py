@@ -60,7 +60,7 @@ def survey(
     ).assign(t_even_s=lambda of: of["t_gps_s"])
 
 
-def test_a_line_that_does_not_count_crosses_nothing() -> None:
+def test_a_line_that_does_not_count_crosses_nothing():
     table = survey(1)
     table.loc[table["line"] == 9, "used"] = False  # one of the lines along the river
     assert len(find_crossings(table)) == 16
@@ -69,7 +69,7 @@ def test_a_line_that_does_not_count_crosses_nothing() -> None:
 @pytest.mark.parametrize(
     ("stated_m", "stated_s"), [(0.03, 10.0), (0.06, 10.0), (0.015, 10.0), (0.03, 2.0), (0.03, 50.0)]
 )
-def test_slow_errors_are_found_whatever_is_stated(stated_m: float, stated_s: float) -> None:
+def test_slow_errors_are_found_whatever_is_stated(stated_m, stated_s):
     """Two-sided over surveys: neither a stated size nor a stated time that is wrong fools the estimate."""
     sizes, squares, after = [], [], []
     for seed in range(12):
@@ -91,7 +91,7 @@ def test_slow_errors_are_found_whatever_is_stated(stated_m: float, stated_s: flo
         assert np.mean(squares) < 0.5
 
 
-def test_few_crossings_change_nothing() -> None:
+def test_few_crossings_change_nothing():
     table = survey(3, legs=2)
     assert len(find_crossings(table)) == 6
     found, time_s, facts = estimate_slow_errors(table, 10.0)
@@ -100,7 +100,7 @@ def test_few_crossings_change_nothing() -> None:
     pd.testing.assert_frame_equal(found, table)
 
 
-def test_a_boat_that_stands_shows_no_slope() -> None:
+def test_a_boat_that_stands_shows_no_slope():
     """Pings at one place: noise over no distance is no slope that horizontal errors act on."""
     table = survey(6)
     moored = table["line"] == 3
@@ -110,7 +110,7 @@ def test_a_boat_that_stands_shows_no_slope() -> None:
     assert np.sqrt(found.white_m2.max()) < 0.1
 
 
-def test_gross_errors_are_left_out_and_counted() -> None:
+def test_gross_errors_are_left_out_and_counted():
     table = survey(4)
     table.loc[(table["line"] == 3) & (table["north_m"].abs() < 1.5), "up_m"] += 1.0
     _, _, facts = estimate_slow_errors(table, 10.0)
@@ -119,7 +119,7 @@ def test_gross_errors_are_left_out_and_counted() -> None:
 
 
 @pytest.mark.parametrize(("pause_s", "part"), [(86_400.0, "days"), (1_200.0, "runs")])
-def test_days_and_runs_that_disagree_are_named_adjusted_and_in_the_sigmas(pause_s: float, part: str) -> None:
+def test_days_and_runs_that_disagree_are_named_adjusted_and_in_the_sigmas(pause_s, part):
     table = survey(5, later_m=0.3, pause_s=pause_s)
     found, time_s, facts = estimate_slow_errors(table, 10.0)
     (pair,) = facts["agreement"][f"pairs of {part}"]
@@ -144,9 +144,7 @@ def test_days_and_runs_that_disagree_are_named_adjusted_and_in_the_sigmas(pause_
 
 
 @pytest.mark.parametrize(("stated_m", "stated_s"), [(0.03, 10.0), (0.015, 10.0), (0.03, 2.0)])
-def test_runs_that_agree_keep_their_heights_and_the_slow_errors_of_all_crossings(
-    stated_m: float, stated_s: float
-) -> None:
+def test_runs_that_agree_keep_their_heights_and_the_slow_errors_of_all_crossings(stated_m, stated_s):
     """Slow errors that are larger or last longer than stated are no steps."""
     kept = 0
     for seed in range(40, 52):

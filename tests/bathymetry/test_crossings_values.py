@@ -42,7 +42,7 @@ def soundings(**changes: object) -> pd.DataFrame:
     ).assign(t_even_s=lambda of: of["t_gps_s"])
 
 
-def test_a_crossing_by_hand() -> None:
+def test_a_crossing_by_hand():
     found = find_crossings(soundings())
     assert len(found) == 1
     assert (found.a_s[0], found.b_s[0]) == pytest.approx((1.25, 20.5))
@@ -55,7 +55,7 @@ def test_a_crossing_by_hand() -> None:
     assert (found.at_a[0], found.at_b[0]) == (1, 3)
 
 
-def test_pings_that_are_not_of_one_line_or_far_apart_are_no_segment() -> None:
+def test_pings_that_are_not_of_one_line_or_far_apart_are_no_segment():
     assert len(find_crossings(soundings(line=[0, 0, 1, 1, 1, 1]))) == 0
     assert len(find_crossings(soundings(line=[0, 0, 0, -1, -1, -1]))) == 0
     # a pause of four seconds where they meet, where pings come each second
@@ -64,14 +64,14 @@ def test_pings_that_are_not_of_one_line_or_far_apart_are_no_segment() -> None:
     assert len(find_crossings(soundings().iloc[:1])) == 0
 
 
-def test_lines_that_do_not_meet_cross_nowhere() -> None:
+def test_lines_that_do_not_meet_cross_nowhere():
     assert len(find_crossings(soundings(north_m=[0.0, 0.0, 0.0, 90.0, 91.0, 92.0]))) == 0
     assert len(find_crossings(soundings(north_m=[0.0, 0.0, 0.0, 0.1, 1.1, 2.1]))) == 0
     beside = soundings(east_m=[0.0, 1.0, 2.0, 2.1, 2.1, 2.1])
     assert len(find_crossings(beside)) == 0
 
 
-def test_four_hours_make_another_day_and_a_minute_another_run() -> None:
+def test_four_hours_make_another_day_and_a_minute_another_run():
     t = np.array([0.0, 1.0, 2.0, 14_500.0, 14_501.0, np.nan])
     np.testing.assert_array_equal(since_pauses(t, DAY_GAP_S), [0, 0, 0, 1, 1, np.nan])
     assert since_pauses(np.array([0.0, 14_300.0]), DAY_GAP_S).tolist() == [0, 0]
@@ -80,7 +80,7 @@ def test_four_hours_make_another_day_and_a_minute_another_run() -> None:
     assert runs_by_pauses(np.array([0.0, 10.0, 20.0, 30.0, 229.0, 430.0])).tolist() == [0] * 5 + [1]
 
 
-def test_segments_meet_from_their_start_to_before_their_end() -> None:
+def test_segments_meet_from_their_start_to_before_their_end():
     start = np.array([[0.0, 0.0], [1.0, -1.0], [2.0, -1.0], [30.0, 0.0]])
     stop = np.array([[2.0, 0.0], [1.0, 3.0], [2.0, 1.0], [30.0, 9.0]])
     i, j, u, v = _intersections(start, stop)  # the third is met at the end of the first
@@ -95,7 +95,7 @@ def test_segments_meet_from_their_start_to_before_their_end() -> None:
     assert (u[0], v[0]) == pytest.approx((0.9, 0.5))
 
 
-def test_relief_is_half_of_what_noise_does_not_explain() -> None:
+def test_relief_is_half_of_what_noise_does_not_explain():
     h, line = np.array([0.0, 0.4, 0.0, 0.4, 0.0]), np.zeros(5, dtype=np.int64)
     white = np.full(5, 0.04)
     assert _relief_m2(h, white, line) == pytest.approx(((NMAD * 0.4) ** 2 - 0.04 * 1.5) / 2)
@@ -119,7 +119,7 @@ def crossings(k: int = 2, **changes: object) -> Crossings:
     return Crossings(**given | changes)
 
 
-def test_the_covariance_of_differences_by_hand() -> None:
+def test_the_covariance_of_differences_by_hand():
     """Sigmas 0.1, 0.3 and 0.2, 0.4 at times 0, 10 and 5, 25; errors last 10 s."""
     found = crossings().slow_covariance_m2(10.0)
     assert found[0, 0] == pytest.approx(0.01 + 0.09 - 2 * 0.03 * np.exp(-1))
@@ -129,7 +129,7 @@ def test_the_covariance_of_differences_by_hand() -> None:
     assert found[1, 0] == pytest.approx(across)
 
 
-def test_days_that_disagree_enlarge_the_common_sigma() -> None:
+def test_days_that_disagree_enlarge_the_common_sigma():
     later = soundings(t_gps_s=np.array([0.0, 1.0, 2.0, 14_500.0, 14_501.0, 14_502.0]))
     later.loc[3:, "up_m"] += 2.9
     later["transducer_up_m"] = 0.0
@@ -149,7 +149,7 @@ def test_days_that_disagree_enlarge_the_common_sigma() -> None:
     assert (time_s, facts["n"], facts["estimated"]) == (10.0, 1, False)
 
 
-def test_the_curvature_is_that_of_a_paraboloid_and_at_least_that_of_the_prior() -> None:
+def test_the_curvature_is_that_of_a_paraboloid_and_at_least_that_of_the_prior():
     H = np.array([[6.0, 1.0], [1.0, 4.0]])
 
     def bowl(x: np.ndarray) -> float:

@@ -28,7 +28,7 @@ CORNER = FRAME.to_map(np.zeros((1, 3)), UTM)[0]
 # ---------------------------------------------------------------- soundings
 
 
-def test_text_and_geojson_are_the_same_soundings_as_csv(tmp_path: Path) -> None:
+def test_text_and_geojson_are_the_same_soundings_as_csv(tmp_path):
     rng = np.random.default_rng(1)
     x, y = np.meshgrid(np.arange(0.0, 40.0, 2.0), (0.0, 10.0))
     xyz = CORNER + np.column_stack([x.ravel(), y.ravel(), -1 - rng.uniform(size=x.size)])
@@ -59,7 +59,7 @@ def test_text_and_geojson_are_the_same_soundings_as_csv(tmp_path: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def bed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, np.ndarray]:
+def bed(tmp_path_factory):
     """A bed of 40 x 20 m that errs by 5 cm where 5 cm are foretold, and the true heights of its cells."""
     path = tmp_path_factory.mktemp("bed") / "bed.tif"
     grid = Grid.around(CORNER[None, :2] + np.array([[0.0, 0.0], [40.0, 20.0]]), 1.0, UTM, margin_m=0.0)
@@ -82,7 +82,7 @@ def cloud(path: Path, points: np.ndarray, frame: Any) -> Path:
     return path
 
 
-def test_a_reference_cloud_is_averaged_by_cells(bed: tuple[Path, np.ndarray], tmp_path: Path) -> None:
+def test_a_reference_cloud_is_averaged_by_cells(bed, tmp_path):
     path, true = bed
     rng = np.random.default_rng(3)
     several = np.repeat(true, 4, axis=0)
@@ -104,9 +104,7 @@ def test_a_reference_cloud_is_averaged_by_cells(bed: tuple[Path, np.ndarray], tm
 @pytest.mark.parametrize(
     ("frame", "words"), [(FRAME, "a local frame"), (CRS("EPSG:25832"), "ETRS89 / UTM zone 32N")]
 )
-def test_a_reference_cloud_of_another_system_is_refused(
-    frame: Any, words: str, bed: tuple[Path, np.ndarray], tmp_path: Path
-) -> None:
+def test_a_reference_cloud_of_another_system_is_refused(frame, words, bed, tmp_path):
     path, true = bed
     points = true - CORNER if isinstance(frame, LocalFrame) else true
     with pytest.raises(InputError, match=words) as told:
@@ -115,9 +113,7 @@ def test_a_reference_cloud_of_another_system_is_refused(
     assert "Transform it to campaign.crs" in str(told.value)
 
 
-def test_a_reference_raster_of_another_system_is_refused(
-    bed: tuple[Path, np.ndarray], tmp_path: Path
-) -> None:
+def test_a_reference_raster_of_another_system_is_refused(bed, tmp_path):
     grid = Grid.around(np.array([[5e5, 5e6], [5.0001e5, 5.0001e6]]), 5.0, CRS("EPSG:25832"), margin_m=0.0)
     write_raster(tmp_path / "a.tif", grid, {"h": np.ones(grid.rows * grid.columns)}, tags={})
     with pytest.raises(InputError, match="a raster in ETRS89 / UTM zone 32N") as told:
@@ -125,7 +121,7 @@ def test_a_reference_raster_of_another_system_is_refused(
     check_whole(told.value)
 
 
-def test_the_page_says_how_the_cloud_of_the_surroundings_lies() -> None:
+def test_the_page_says_how_the_cloud_of_the_surroundings_lies():
     assert _surroundings({"fitted": False, "why": "no cloud (logs.uav)"}) == "No cloud (logs.uav)."
     fit = {
         "fitted_shift_m": [0.02, -0.03, 0.05],
@@ -182,7 +178,7 @@ def of_boat(path: Path, date: dt.date | None = None) -> tuple[pd.DataFrame, dict
     return table, facts, trajectory
 
 
-def test_depths_of_a_powerboat_and_of_a_yacht(data_dir: Path) -> None:
+def test_depths_of_a_powerboat_and_of_a_yacht(data_dir):
     """Every sentence is a sounding or has a reason; depths are those of gpsd's figures (PROVENANCE.md)."""
     folder = data_dir / "nmea_gpsd_depth"
     table, facts, _ = of_boat(folder / "humminbird-M37.log")
@@ -202,7 +198,7 @@ def test_depths_of_a_powerboat_and_of_a_yacht(data_dir: Path) -> None:
     assert (table.loc[table["used"], "sigma_slow_m"] > 3.0).all()
 
 
-def test_a_boat_at_rest_without_a_date_is_refused_with_a_reason(data_dir: Path) -> None:
+def test_a_boat_at_rest_without_a_date_is_refused_with_a_reason(data_dir):
     path = data_dir / "nmea_gpsd_depth" / "sounder.log"
     with pytest.raises(InputError, match="0 usable positions of 122"):
         of_boat(path)

@@ -77,17 +77,17 @@ def rmse(pattern: str, leg_m: float, method: str = "kriging") -> float:
     "other",
     ["inverse distance, elliptical", "inverse distance", "triangles", "kriging, same range along and across"],
 )
-def test_kriging_is_as_good_as_the_others(other: str) -> None:
+def test_kriging_is_as_good_as_the_others(other):
     assert rmse("zigzag", 15.0) <= 1.05 * rmse("zigzag", 15.0, other)
 
 
-def test_pattern_and_legs_matter_more_than_the_method() -> None:
+def test_pattern_and_legs_matter_more_than_the_method():
     """Legs four times as long against the better of two other methods that are in use."""
     of_method = min(rmse("zigzag", 15.0, m) for m in ("inverse distance, elliptical", "triangles"))
     assert rmse("zigzag", 60.0) / rmse("zigzag", 15.0) > of_method / rmse("zigzag", 15.0)
 
 
-def test_flow_coordinates_with_an_anisotropy_are_40_percent_better_on_a_meander() -> None:
+def test_flow_coordinates_with_an_anisotropy_are_40_percent_better_on_a_meander():
     """Against kriging with one range in east and north, its parameters chosen in the same way."""
     data, _ = survey("zigzag", 15.0)
     river = line()
@@ -112,7 +112,7 @@ def test_flow_coordinates_with_an_anisotropy_are_40_percent_better_on_a_meander(
     assert rmse("zigzag", 15.0) < 0.6 * min(errors)
 
 
-def test_a_model_needs_no_banks() -> None:
+def test_a_model_needs_no_banks():
     """Without half widths a place is channel everywhere, and nothing is rougher."""
     data, model = survey("zigzag", 15.0)
     bare = BedModel(
@@ -128,7 +128,7 @@ def test_a_model_needs_no_banks() -> None:
 # ---------------------------------------------------------------- what is left out, and its measures
 
 
-def test_measures_of_what_was_foretold_by_hand() -> None:
+def test_measures_of_what_was_foretold_by_hand():
     table = pd.DataFrame(
         {
             "up_m": [1.0, 1.0, 1.0, 1.0, 5.0],
@@ -153,7 +153,7 @@ def test_measures_of_what_was_foretold_by_hand() -> None:
     assert np.isnan(measures(table.assign(sigma_m=np.nan))["normalised_square"])
 
 
-def test_classes_of_what_was_foretold_have_their_limits_and_ten_places() -> None:
+def test_classes_of_what_was_foretold_have_their_limits_and_ten_places():
     distance = np.repeat([0.0, 1.0, 3.9, 16.0], [10, 9, 10, 11])
     table = pd.DataFrame({"distance_m": distance, "up_m": 0.0, "predicted_m": distance, "sigma_m": 1.0})
     found = by_class(table)
@@ -167,7 +167,7 @@ def test_classes_of_what_was_foretold_have_their_limits_and_ten_places() -> None
     assert set(by_class(table.assign(depth_m=-1.0))) - set(found) == {"0 m to 0.5 m deep"}
 
 
-def test_lines_and_stretches_that_are_left_out() -> None:
+def test_lines_and_stretches_that_are_left_out():
     """85 lines of ten places: each third is foretold; of 16 even stretches each second within the ends."""
     s = np.linspace(0.0, 160.0, 850)
     n = len(s)

@@ -1,7 +1,5 @@
 """Flow coordinates: round trips, folds, a published meander."""
 
-from pathlib import Path
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -15,7 +13,7 @@ def meander(step: float = 2.0) -> FlowLine:
     return FlowLine.through(np.column_stack([x, 20 * np.sin(x / 25)]))
 
 
-def test_round_trip_and_arc_length() -> None:
+def test_round_trip_and_arc_length():
     line = meander()
     rng = np.random.default_rng(2)
     s, n = rng.uniform(1, line.length_m - 1, 5000), rng.uniform(-12, 12, 5000)
@@ -27,7 +25,7 @@ def test_round_trip_and_arc_length() -> None:
     assert np.linalg.norm(np.diff(fine, axis=0), axis=1).sum() == pytest.approx(line.length_m, abs=1e-4)
 
 
-def test_left_is_positive_and_curvature_has_its_sign() -> None:
+def test_left_is_positive_and_curvature_has_its_sign():
     angle = np.linspace(0, 1.5, 60)
     left_turn = FlowLine.through(50 * np.column_stack([np.sin(angle), 1 - np.cos(angle)]))
     assert left_turn.curvature(30.0) == pytest.approx(1 / 50, rel=1e-3)
@@ -36,12 +34,12 @@ def test_left_is_positive_and_curvature_has_its_sign() -> None:
     assert fold[0]  # the centre of the circle has every foot
 
 
-def test_beyond_the_ends_is_said() -> None:
+def test_beyond_the_ends_is_said():
     line = FlowLine.through(np.array([[0.0, 0.0], [5.0, 0.0], [10.0, 0.0]]))
     assert line.to_flow(np.array([[-1.0, 0.5], [5.0, 0.5], [11.0, 0.0]]))[2].tolist() == [True, False, True]
 
 
-def test_written_and_read_is_the_same_line(tmp_path: Path) -> None:
+def test_written_and_read_is_the_same_line(tmp_path):
     line = meander()
     line.write(tmp_path / "line.csv")
     np.testing.assert_allclose(
@@ -53,7 +51,7 @@ def test_written_and_read_is_the_same_line(tmp_path: Path) -> None:
         FlowLine.through(np.array([[0.0, 0.0], [1.0, 0.0]]))
 
 
-def test_a_straight_line_by_hand() -> None:
+def test_a_straight_line_by_hand():
     """Of 3, 4 and 5: 5 m along and 1 m to the left; places that repeat count once."""
     line = FlowLine.through([[0.0, 0.0], [3.0, 4.0], [3.0, 4.0], [6.0, 8.0]])
     assert line.length_m == pytest.approx(10.0)
@@ -68,14 +66,14 @@ def test_a_straight_line_by_hand() -> None:
             FlowLine.through(bad)
 
 
-def test_a_line_of_few_places_has_the_length_of_its_curve() -> None:
+def test_a_line_of_few_places_has_the_length_of_its_curve():
     angle = np.linspace(0.0, np.pi, 5)
     line = FlowLine.through(20.0 * np.column_stack([np.cos(angle), np.sin(angle)]))
     places = line.to_map(np.linspace(0.0, line.length_m, 20_001), 0.0)
     assert np.linalg.norm(np.diff(places, axis=0), axis=1).sum() == pytest.approx(line.length_m, abs=1e-5)
 
 
-def test_coordinates_fold_at_nine_tenths_of_the_radius() -> None:
+def test_coordinates_fold_at_nine_tenths_of_the_radius():
     angle = np.linspace(0.0, 1.5, 60)
     turn = FlowLine.through(50.0 * np.column_stack([np.sin(angle), 1 - np.cos(angle)]))
     inside = turn.to_map([30.0, 30.0, 30.0], [44.5, 45.5, -60.0])
@@ -83,7 +81,7 @@ def test_coordinates_fold_at_nine_tenths_of_the_radius() -> None:
 
 
 @pytest.mark.real
-def test_published_meander(data_dir: Path) -> None:
+def test_published_meander(data_dir):
     folder = data_dir / "stream_normal_coords" / "test_data"
     points = pd.read_csv(folder / "data_pts.csv", header=None, skiprows=1).to_numpy(float)[:, :2]
     found = []

@@ -47,7 +47,7 @@ CELLS = np.stack(np.meshgrid(np.linspace(2, 80, 12), np.linspace(-14, 14, 9)), a
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("slow_time_s", [0.0, 10.0])
-def test_kernel_equals_one_system_of_all(kind: str, slow_time_s: float) -> None:
+def test_kernel_equals_one_system_of_all(kind, slow_time_s):
     data, of = observed(slow=0.03), model(kind, slow_time_s=slow_time_s)
     height, sigma = krige(data, CELLS, of, neighbours=len(data), octants=False)
     expected = krige_dense(data, CELLS, of)
@@ -66,7 +66,7 @@ def rough(places: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("slow_time_s", [0.0, 10.0])
-def test_drift_and_rough_margins_equal_universal_kriging_of_all(slow_time_s: float) -> None:
+def test_drift_and_rough_margins_equal_universal_kriging_of_all(slow_time_s):
     data, of = observed(slow=0.03), model("exponential", slow_time_s=slow_time_s)
     both, roughness = (
         (functions_of(data.places_m), functions_of(CELLS)),
@@ -87,7 +87,7 @@ def test_drift_and_rough_margins_equal_universal_kriging_of_all(slow_time_s: flo
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_pykrige_gives_the_same(kind: str) -> None:
+def test_pykrige_gives_the_same(kind):
     data = observed()
     even = Observations(
         **{name: getattr(data, name) for name in ("s_m", "n_m", "height_m", "t_s", "line")},
@@ -100,13 +100,13 @@ def test_pykrige_gives_the_same(kind: str) -> None:
     np.testing.assert_allclose(sigma, expected[1], atol=1e-6)
 
 
-def test_pykrige_refuses_what_it_cannot_hold() -> None:
+def test_pykrige_refuses_what_it_cannot_hold():
     with pytest.raises(UnsupportedError, match="2001 soundings"):
         krige_by_pykrige(observed(2001), CELLS, model())
 
 
 @pytest.mark.parametrize("octants", [True, False])
-def test_any_chunk_gives_the_same_bytes(octants: bool) -> None:
+def test_any_chunk_gives_the_same_bytes(octants):
     data = observed(600, slow=0.03)
     whole = krige(data, CELLS, model(slow_time_s=5.0), octants=octants)
     parts = krige(data, CELLS, model(slow_time_s=5.0), octants=octants, chunk=7)
@@ -114,7 +114,7 @@ def test_any_chunk_gives_the_same_bytes(octants: bool) -> None:
     assert whole[1].tobytes() == parts[1].tobytes()
 
 
-def test_covariance_of_errors_is_that_of_one_system_and_of_simulated_errors() -> None:
+def test_covariance_of_errors_is_that_of_one_system_and_of_simulated_errors():
     """Its diagonal is kriging's variance; sums of errors of drawn fields have the variance that it says."""
     data, of = observed(60, slow=0.03), model(slow_time_s=10.0)
     cells = CELLS[::4]
@@ -139,7 +139,7 @@ def test_covariance_of_errors_is_that_of_one_system_and_of_simulated_errors() ->
     assert np.mean(np.square(sums)) / cov.sum() == pytest.approx(1.0, abs=0.25)
 
 
-def test_sigma_is_that_of_the_bed_two_sided() -> None:
+def test_sigma_is_that_of_the_bed_two_sided():
     """Fields of known covariance and errors that last: normalised squares, modelled and not."""
     rng = np.random.default_rng(5)
     places, line = zigzag(240, rng)
@@ -174,7 +174,7 @@ def vars_of(of: CovarianceModel) -> dict:
     return {name: getattr(of, name) for name in of.__dataclass_fields__}
 
 
-def test_bad_observations_are_named() -> None:
+def test_bad_observations_are_named():
     data = observed(10)
     with pytest.raises(GeometryError, match="height_m: 1 of 10 values are no numbers"):
         data.lifted(np.where(np.arange(10) == 3, np.nan, data.height_m))

@@ -40,7 +40,7 @@ def observed(places: list[list[float]], height_m: list[float], **changes: object
 
 @pytest.mark.parametrize("way", [krige, krige_dense, krige_by_pykrige])
 @pytest.mark.parametrize("places", [[[0.0, 0.0], [10.0, 0.0]], [[5.0, -2.5], [5.0, 2.5]]])
-def test_half_way_between_two_soundings(way: object, places: list[list[float]]) -> None:
+def test_half_way_between_two_soundings(way, places):
     """Weights of a half each: sigma^2 = C0 - 2 c(5 m) + (C0 + noise + c(10 m)) / 2; half as far across."""
     data = observed(places, [-2.0, -3.0])
     height, sigma = way(data, np.array([[5.0, 0.0]]), CovarianceModel(**MODEL, micro_m2=0.02))
@@ -52,9 +52,7 @@ def test_half_way_between_two_soundings(way: object, places: list[list[float]]) 
 @pytest.mark.parametrize(
     ("time_s", "variance_m2", "shared_m2"), [(0.0, 0.04, 0.0), (8.0, 0.04, 0.04 * np.exp(-0.5))]
 )
-def test_errors_that_last_do_not_average(
-    way: object, time_s: float, variance_m2: float, shared_m2: float
-) -> None:
+def test_errors_that_last_do_not_average(way, time_s, variance_m2, shared_m2):
     """4 s between the soundings, errors of 0.2 m that last 8 s or not at all."""
     data = observed([[0.0, 0.0], [10.0, 0.0]], [-2.0, -3.0], sigma_slow_m=np.full(2, 0.2))
     _, sigma = way(data, np.array([[5.0, 0.0]]), CovarianceModel(**MODEL, slow_time_s=time_s))
@@ -68,7 +66,7 @@ def test_errors_that_last_do_not_average(
     assert sigma[0] ** 2 == pytest.approx(1 - 2 * np.exp(-0.5) + (1 + np.exp(-1)) / 2 + 0.025, rel=1e-9)
 
 
-def test_far_from_all_soundings_is_their_mean_and_more_than_the_sill() -> None:
+def test_far_from_all_soundings_is_their_mean_and_more_than_the_sill():
     """Far away the weights are those of the mean: variance C0 + 1 / (1' C^-1 1)."""
     data = observed([[0.0, 0.0], [1e6, 0.0], [2e6, 0.0]], [-1.0, -2.0, -6.0])
     for way in (krige, krige_dense):
@@ -77,7 +75,7 @@ def test_far_from_all_soundings_is_their_mean_and_more_than_the_sill() -> None:
         assert sigma[0] ** 2 == pytest.approx(1 + 1.01 / 3, rel=1e-9)
 
 
-def test_correlations_are_those_of_the_models() -> None:
+def test_correlations_are_those_of_the_models():
     """5 % are left at the practical range; at a half of it (1 + a / 2) exp(-a / 2) and 1 - 3/4 + 1/16."""
     of = {kind: CovarianceModel(**MODEL | {"kind": kind}).correlation for kind in KINDS}
     h = np.array([0.0, 0.5, 1.0, 1.5])
@@ -86,7 +84,7 @@ def test_correlations_are_those_of_the_models() -> None:
     assert of["spherical"](h) == pytest.approx([1, 0.3125, 0, 0], abs=1e-12)
 
 
-def test_an_octant_gives_its_nearest_soundings_alone() -> None:
+def test_an_octant_gives_its_nearest_soundings_alone():
     """Three soundings upstream in one octant, one downstream; eight neighbours are one an octant."""
     data = observed([[1.0, 0.1], [2.0, 0.2], [3.0, 0.3], [-9.0, 0.4]], [-1.0, -2.0, -3.0, -4.0])
     cell, of = np.zeros((1, 2)), CovarianceModel(**MODEL)
@@ -97,7 +95,7 @@ def test_an_octant_gives_its_nearest_soundings_alone() -> None:
         assert found[1] == pytest.approx(expected[1], abs=1e-9)
 
 
-def test_each_octant_is_one_eighth_of_the_circle() -> None:
+def test_each_octant_is_one_eighth_of_the_circle():
     """A sounding in the middle of each octant and a farther one 10 degrees beside it: the eight near ones."""
     angle = np.deg2rad(22.5 + 45 * np.arange(8))
     near = np.column_stack([2 * np.cos(angle), np.sin(angle)])  # scaled by the ranges 30 and 15: a circle
@@ -109,7 +107,7 @@ def test_each_octant_is_one_eighth_of_the_circle() -> None:
     assert found == pytest.approx(krige_dense(data.where(slice(0, 8)), cell, of)[0][0], abs=1e-9)
 
 
-def test_a_line_gives_so_many_soundings_and_no_more() -> None:
+def test_a_line_gives_so_many_soundings_and_no_more():
     data = observed(
         [[1.0, 0.0], [2.0, 0.0], [3.0, 0.0], [0.0, 4.0], [0.0, 5.0]],
         [-1.0, -2.0, -3.0, -4.0, -5.0],
@@ -121,7 +119,7 @@ def test_a_line_gives_so_many_soundings_and_no_more() -> None:
         assert found == pytest.approx(krige_dense(data.where(taken), cell, of)[0][0], abs=1e-9)
 
 
-def test_models_without_a_meaning_are_refused() -> None:
+def test_models_without_a_meaning_are_refused():
     for change in ({"sill_m2": 0.0}, {"range_s_m": 0.0}, {"range_n_m": -1.0}, {"micro_m2": -1e-6}):
         with pytest.raises(GeometryError, match="ranges above zero"):
             CovarianceModel(**MODEL | change)
@@ -130,7 +128,7 @@ def test_models_without_a_meaning_are_refused() -> None:
 
 
 @pytest.mark.parametrize(("level", "per_slope"), [(0.5, 1.5), (1.6, 0.4)])
-def test_level_and_growth_of_errors_are_those_of_left_out_lines(level: float, per_slope: float) -> None:
+def test_level_and_growth_of_errors_are_those_of_left_out_lines(level, per_slope):
     """1,500 lines of two soundings, variances ``level (1 + (per_slope slope)^2)`` times those foretold.
 
     A line counts as one value: the logarithm of a variance has a sigma of sqrt(2 / 1500) = 0.04 where the

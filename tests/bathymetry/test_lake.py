@@ -21,7 +21,6 @@ from thalweg.bathymetry import (
     Observations,
     Plane,
     TableOfSoundings,
-    Water,
     agreement,
     bed_of_table,
     methods,
@@ -120,7 +119,7 @@ def errors(found: BedOfTable) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 @pytest.fixture(scope="module")
-def lake(tmp_path_factory: pytest.TempPathFactory) -> tuple[Water, BedOfTable]:
+def lake(tmp_path_factory):
     """Within an outline whose hole is the island."""
     path = write_outline(tmp_path_factory.mktemp("lake") / "water.geojson", WATER)
     soundings = of_three_days()
@@ -128,7 +127,7 @@ def lake(tmp_path_factory: pytest.TempPathFactory) -> tuple[Water, BedOfTable]:
     return water, bed_of_table(soundings, UTM, QUICK, water)
 
 
-def test_a_lake_has_its_bays_and_no_bed_on_its_island(lake: tuple[Water, BedOfTable]) -> None:
+def test_a_lake_has_its_bays_and_no_bed_on_its_island(lake):
     water, found = lake
     assert isinstance(water.line, Plane)
     cells, error, sigma = errors(found)
@@ -144,9 +143,7 @@ def test_a_lake_has_its_bays_and_no_bed_on_its_island(lake: tuple[Water, BedOfTa
     assert "times as long as it is wide, which is no river" in found.notes[0]
 
 
-def test_days_that_contradict_each_other_are_named_and_enlarge_the_sigma(
-    lake: tuple[Water, BedOfTable],
-) -> None:
+def test_days_that_contradict_each_other_are_named_and_enlarge_the_sigma(lake):
     facts = lake[1].validation["agreement"]
     pairs = {(of["a"], of["b"]): of for of in facts["pairs of days"]}
     for (a, b), of in pairs.items():
@@ -164,14 +161,14 @@ def test_days_that_contradict_each_other_are_named_and_enlarge_the_sigma(
     assert any("brought to their mean" in note for note in lake[1].notes)
 
 
-def test_the_model_of_a_lake_is_read_again(lake: tuple[Water, BedOfTable]) -> None:
+def test_the_model_of_a_lake_is_read_again(lake):
     model = lake[1].bed.model
     again = BedModel.of_report(json.loads(json.dumps(model.report())))
     places = np.array([[0.0, 0.0], [20.0, -10.0]])
     np.testing.assert_array_equal(again.drift.at(places), model.drift.at(places))
 
 
-def test_days_that_agree_change_nothing() -> None:
+def test_days_that_agree_change_nothing():
     east, north = np.meshgrid(np.arange(0.0, 41.0), np.arange(0.0, 41.0, 10.0))
     along = np.column_stack([east.ravel(), north.ravel() + 0.5])
     xy = np.concatenate([along, along[:, ::-1]])
@@ -196,7 +193,7 @@ def test_days_that_agree_change_nothing() -> None:
     assert found.sigma_common_m == pytest.approx([spread / np.sqrt(2)] * 2 + [spread], rel=0.1)
 
 
-def test_the_mean_of_days_is_within_its_sigma_as_often_as_one_sigma_says() -> None:
+def test_the_mean_of_days_is_within_its_sigma_as_often_as_one_sigma_says():
     """Steps of two days, 100 times: a line each, which cross; the truth is zero. Of three days: above."""
     rng = np.random.default_rng(905)
     at = np.linspace(-20.0, 20.0, 11)
@@ -241,9 +238,7 @@ ARM = shapely.union_all([strip(400.0, 30.0), shapely.affinity.translate(strip(30
         (400.0, 30.0, ARM, False, "bays would be cut off"),
     ],
 )
-def test_what_shows_a_river(
-    long_m: float, wide_m: float, outline: shapely.Polygon | None, river: bool, why: str, tmp_path: Path
-) -> None:
+def test_what_shows_a_river(long_m, wide_m, outline, river, why, tmp_path):
     path = None if outline is None else write_outline(tmp_path / "w.geojson", outline)
     found = water_of(grid_of(long_m, wide_m), UTM, QUICK, banks=path)
     assert isinstance(found.line, FlowLine) == river
@@ -255,7 +250,7 @@ def test_what_shows_a_river(
         assert again.reason == "as stated"
 
 
-def test_the_way_of_a_ship_is_no_river() -> None:
+def test_the_way_of_a_ship_is_no_river():
     """A passage of 6 km with some drift of 60 m at its end, and the same with lines across."""
     rng = np.random.default_rng(8)
     x = np.arange(0.0, 6000.0, 20.0)
@@ -268,7 +263,7 @@ def test_the_way_of_a_ship_is_no_river() -> None:
     assert isinstance(water_of(soundings_of(lines, [0] * len(lines)), UTM, QUICK).line, FlowLine)
 
 
-def test_outlines_as_closed_lines_with_islands_are_polygons(tmp_path: Path) -> None:
+def test_outlines_as_closed_lines_with_islands_are_polygons(tmp_path):
     path = write_outline(tmp_path / "w.geojson", SHORE.exterior, ISLAND.exterior)
     found = water_of(of_three_days(), UTM, QUICK, banks=path, depths=True)
     assert (
@@ -283,7 +278,7 @@ def test_outlines_as_closed_lines_with_islands_are_polygons(tmp_path: Path) -> N
     assert any("--level" in note for note in no_level.notes)
 
 
-def test_the_first_axis_is_the_one_along_which_heights_change_least() -> None:
+def test_the_first_axis_is_the_one_along_which_heights_change_least():
     rng = np.random.default_rng(5)
     xy = ORIGIN + rng.uniform(-100, 100, (900, 2))
     for azimuth in (20.0, 65.0, 150.0):
@@ -297,7 +292,7 @@ def test_the_first_axis_is_the_one_along_which_heights_change_least() -> None:
         np.testing.assert_allclose(np.hypot(s, n), np.linalg.norm(xy - xy.mean(axis=0), axis=1))
 
 
-def test_places_between_shore_and_middle() -> None:
+def test_places_between_shore_and_middle():
     disc = shapely.Point(0.0, 0.0).buffer(100.0, quad_segs=90)
     assert elongation(disc) == pytest.approx(np.pi / 4, rel=0.01)
     assert elongation(strip(300.0, 30.0)) == pytest.approx(10.0, rel=0.01)
@@ -311,7 +306,7 @@ def test_places_between_shore_and_middle() -> None:
 # ---------------------------------------------------------------- single tracks
 
 
-def test_a_single_track_over_a_pond_is_mapped_as_far_as_it_tells() -> None:
+def test_a_single_track_over_a_pond_is_mapped_as_far_as_it_tells():
     """A spiral: its turns are 12 m apart, no patch of it is farther from the rest."""
     a = np.linspace(2 * np.pi, 8 * np.pi, 420)
     xy = ORIGIN + (12.0 / (2 * np.pi) * a * [np.cos(a), np.sin(a)]).T
@@ -336,7 +331,7 @@ def test_a_single_track_over_a_pond_is_mapped_as_far_as_it_tells() -> None:
     assert found.bed.distance_m[known].max() <= farthest_told_m(xy, lines_or_patches(xy, bed.line, 1)[0])
 
 
-def test_lines_that_are_scraps_become_patches() -> None:
+def test_lines_that_are_scraps_become_patches():
     rng = np.random.default_rng(2)
     xy = rng.uniform(0, 100, (300, 2))
     number, patches = lines_or_patches(xy, np.arange(300) // 3, 1)
@@ -352,7 +347,7 @@ def test_lines_that_are_scraps_become_patches() -> None:
     check_whole(told.value)
 
 
-def test_thin_plates_among_soundings_of_one_straight_track_are_none(lake: tuple[Water, BedOfTable]) -> None:
+def test_thin_plates_among_soundings_of_one_straight_track_are_none(lake):
     """The 48 nearest soundings lie on one line: no plane goes through them."""
     at = np.arange(200.0)
     east, north = np.tile(at, 2), np.repeat([0.0, 1000.0], 200)
@@ -374,7 +369,7 @@ def test_thin_plates_among_soundings_of_one_straight_track_are_none(lake: tuple[
 # ---------------------------------------------------------------- what cannot be
 
 
-def test_soundings_of_several_waters_are_refused() -> None:
+def test_soundings_of_several_waters_are_refused():
     far = grid_of(60.0, 40.0)
     far.places_m[-1] += 2e6
     with pytest.raises(InputError, match="2,000 km apart") as told:
@@ -382,7 +377,7 @@ def test_soundings_of_several_waters_are_refused() -> None:
     check_whole(told.value)
 
 
-def test_a_bed_that_leaves_its_data_behind_is_refused(lake: tuple[Water, BedOfTable]) -> None:
+def test_a_bed_that_leaves_its_data_behind_is_refused(lake):
     """Two values that stand for none among 400: left-out lines find nothing wrong."""
     of = lake[1].bed
     grid = Grid.around(ORIGIN + np.array([[0.0, 0.0], [9.0, 9.0]]), 3.0, UTM)
@@ -412,13 +407,13 @@ NOON = 1_714_564_800.0  # 2024-05-01 12:00 UTC
         ("2024-05-01;11:00;1.0\n2024-05-01;13:00;2.0\n2024-05-02;13:00;2.0\n", [1.5, 1.75, 2.0]),
     ],
 )
-def test_levels_by_day_and_by_time(text: str, expected: list[float], tmp_path: Path) -> None:
+def test_levels_by_day_and_by_time(text, expected, tmp_path):
     (tmp_path / "l.csv").write_text(text)
     levels = Levels.read(tmp_path / "l.csv")
     assert levels.at(NOON + np.array([0.0, 1800.0, 86_400.0])) == pytest.approx(expected)
 
 
-def test_levels_of_a_gauge_without_dates(tmp_path: Path) -> None:
+def test_levels_of_a_gauge_without_dates(tmp_path):
     """Minutes of a day in quotes, as gauges write them."""
     (tmp_path / "g.csv").write_text('"00:00","4.00"\n"12:00","4.60"\n"12:30","4.90"\n')
     levels = Levels.read(tmp_path / "g.csv")
@@ -443,7 +438,7 @@ def test_levels_of_a_gauge_without_dates(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "text", ["", "date,level\n", "01/02/2024,3.0\n02/02/2024,3.1\n", "2024-05-01,a\nb,c\n"]
 )
-def test_levels_that_are_none(text: str, tmp_path: Path) -> None:
+def test_levels_that_are_none(text, tmp_path):
     (tmp_path / "l.csv").write_text(text)
     with pytest.raises(InputError) as told:
         Levels.read(tmp_path / "l.csv")
@@ -453,9 +448,7 @@ def test_levels_that_are_none(text: str, tmp_path: Path) -> None:
 # ---------------------------------------------------------------- the command
 
 
-def test_the_command_maps_a_lake(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_command_maps_a_lake(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("thalweg.figures.save", lambda *_: None)
     of = grid_of(60.0, 40.0)
     table = pd.DataFrame(of.places_m, columns=["x", "y"]).assign(depth=-of.height_m)
@@ -477,7 +470,7 @@ def test_the_command_maps_a_lake(
 # ---------------------------------------------------------------- runs of one day, and the outline as the map
 
 
-def test_runs_are_pieces_between_pauses_or_names_of_a_column(tmp_path: Path) -> None:
+def test_runs_are_pieces_between_pauses_or_names_of_a_column(tmp_path):
     """Two days; on the first one a pause of five minutes; the second day sails line a again."""
     east, north = np.meshgrid(np.arange(8.0) * 3, np.arange(4.0) * 10)
     t = np.arange(32) * 2.0
@@ -501,7 +494,7 @@ def test_runs_are_pieces_between_pauses_or_names_of_a_column(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("scatter_m", [0.0, 0.15])
-def test_steps_of_runs_are_adjusted_and_nothing_else_is(scatter_m: float) -> None:
+def test_steps_of_runs_are_adjusted_and_nothing_else_is(scatter_m):
     """Six runs of three lines; steps drawn anew, or none; of each draw the mean is not told."""
     rng = np.random.default_rng(5521)
     along, across = tracks(12.0, along_east=True), tracks(24.0, along_east=False)
@@ -526,7 +519,7 @@ def test_steps_of_runs_are_adjusted_and_nothing_else_is(scatter_m: float) -> Non
         assert low < np.mean(normalised) < high
 
 
-def test_an_outline_is_the_map_in_flow_coordinates_too(tmp_path: Path) -> None:
+def test_an_outline_is_the_map_in_flow_coordinates_too(tmp_path):
     """A bay that folds back behind a spit lies beyond the half widths, which are one number a side."""
     spit = shapely.affinity.translate(strip(60.0, 8.0), 150.0, 38.0)
     bay = shapely.affinity.translate(strip(70.0, 20.0), 150.0, 46.0)

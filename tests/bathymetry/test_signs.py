@@ -60,14 +60,14 @@ def river(seed: int, bed: str, *, shore_m: float = 100.0, shore_rise: float = 0.
 
 @pytest.mark.parametrize("seed", [71, 72, 73])
 @pytest.mark.parametrize("bed", ["bowl", "one side", "bends", "island", "weir", "flat"])
-def test_rivers_as_they_are_raise_no_question(bed: str, seed: int) -> None:
+def test_rivers_as_they_are_raise_no_question(bed, seed):
     """A thalweg at one bank, one that changes sides, an island, a weir, a plane."""
     table = river(seed, bed)
     assert asked_of_river(table, half_widths, depths=False) == []
     assert asked_of_shores(table, 100.3) == []
 
 
-def test_a_bed_that_rises_in_mid_river_is_asked_about() -> None:
+def test_a_bed_that_rises_in_mid_river_is_asked_about():
     asked = asked_of_river(river(74, "depths"), half_widths, depths=False)
     assert len(asked) == 1
     assert "in 15 of 15 stretches" in asked[0]
@@ -76,7 +76,7 @@ def test_a_bed_that_rises_in_mid_river_is_asked_about() -> None:
     assert "Are these heights? Then --height" in asked_of_river(turned, half_widths, depths=True)[0]
 
 
-def test_a_river_that_flows_uphill_is_asked_about() -> None:
+def test_a_river_that_flows_uphill_is_asked_about():
     """By its shores, or by its bed; depths below one level tell no fall."""
     by_shores = asked_of_river(river(75, "bowl", shore_rise=0.002), half_widths, depths=False)
     assert len(by_shores) == 1
@@ -86,7 +86,7 @@ def test_a_river_that_flows_uphill_is_asked_about() -> None:
     assert asked_of_river(river(76, "uphill"), half_widths, depths=True) == []
 
 
-def test_shores_below_the_bed_or_the_water_are_asked_about() -> None:
+def test_shores_below_the_bed_or_the_water_are_asked_about():
     low = asked_of_shores(river(77, "bowl", shore_m=97.6), None)
     assert len(low) == 1
     assert "of the soundings lie above the shore beside them" in low[0]
@@ -94,7 +94,7 @@ def test_shores_below_the_bed_or_the_water_are_asked_about() -> None:
     assert drowned[0].startswith("the water stands 1.4")
 
 
-def test_a_lake_that_is_deepest_at_its_shores_is_asked_about() -> None:
+def test_a_lake_that_is_deepest_at_its_shores_is_asked_about():
     rng = np.random.default_rng(79)
     xy = rng.uniform(-50, 50, (400, 2))
     outline = shapely.box(-52, -52, 52, 52)
@@ -124,7 +124,7 @@ def points_in(epsg: int) -> tuple[list[dict], list[dict]]:
     return shapes, [{"h": float(h)} for h in table["up_m"]]
 
 
-def test_a_file_that_states_another_map_than_the_user_gets_a_word(tmp_path: Path) -> None:
+def test_a_file_that_states_another_map_than_the_user_gets_a_word(tmp_path):
     """Places of zone 32 come onto zone 33 with a note; those of Argentina are refused."""
     path = geojson(tmp_path / "zone32.geojson", 32632, *points_in(32632))
     how = {"column": "h", "depth": False, "level_m": None, "line_column": None, "sigma_m": 0.03}
@@ -143,7 +143,7 @@ def test_a_file_that_states_another_map_than_the_user_gets_a_word(tmp_path: Path
     assert "bank.geojson states ETRS89 / UTM zone 33N: its places were" in drawn.notes[-1]
 
 
-def test_a_level_far_from_the_heights_of_an_outline_is_asked_about(tmp_path: Path) -> None:
+def test_a_level_far_from_the_heights_of_an_outline_is_asked_about(tmp_path):
     ring = [[0, 0], [90, 0], [90, 80], [0, 80], [0, 0]]
     corners = [[500_000.0 + x, 5_400_000.0 + y, 52.0] for x, y in ring]
     outline = geojson(tmp_path / "o.geojson", 32633, [{"type": "Polygon", "coordinates": [corners]}], [{}])
@@ -159,9 +159,7 @@ def test_a_level_far_from_the_heights_of_an_outline_is_asked_about(tmp_path: Pat
         assert any("lies 3.0 m above the outline" in note for note in found.notes) is asked
 
 
-def test_the_command_asks_in_its_output_and_in_its_report(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_asks_in_its_output_and_in_its_report(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("thalweg.figures.save", lambda *_: None)
     monkeypatch.setattr("thalweg.bathymetry.variogram._STEPS", 12)
     table = river(82, "depths").iloc[:375]

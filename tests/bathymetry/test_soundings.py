@@ -1,7 +1,6 @@
 """Soundings in the world: geometry of the beam, speed of sound, reasons, three parts of the error."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -78,7 +77,7 @@ def located(depth_m: np.ndarray, trajectory: Trajectory | None = None, **changes
     )
 
 
-def test_slow_errors_by_camera_are_those_of_the_chain() -> None:
+def test_slow_errors_by_camera_are_those_of_the_chain():
     """The chain forgets in 3 s at first and in 12 s later; two pings have the covariance that it says."""
     path = straight()
     keep = np.exp(-0.5 / np.where(np.arange(0.0, 60.5, 0.5) <= 30.0, 3.0, 12.0))
@@ -109,7 +108,7 @@ def test_slow_errors_by_camera_are_those_of_the_chain() -> None:
         assert np.exp(-(told[second] - told[first]) / time_s) == pytest.approx(alike, abs=0.04)
 
 
-def test_speed_of_sound_of_published_tables() -> None:
+def test_speed_of_sound_of_published_tables():
     # Marczak 1997 against Del Grosso's table of pure water; UNESCO 44's polynomial against its own table
     assert speed_of_sound_mps(20.0) == pytest.approx(1482.34, abs=0.05)
     assert speed_of_sound_mps(0.0) == pytest.approx(1402.39, abs=0.03)
@@ -118,7 +117,7 @@ def test_speed_of_sound_of_published_tables() -> None:
 
 
 @pytest.mark.parametrize("slope_deg", [0.0, 1.0, 2.5, 10.0, 33.0])
-def test_first_return_over_a_plane(slope_deg: float) -> None:
+def test_first_return_over_a_plane(slope_deg):
     """The nearest place of the cone, sought among many rays, gives back the distance along the axis."""
     half, depth = np.deg2rad(2.5), 2.5
     slope = np.tan(np.deg2rad(slope_deg))
@@ -134,7 +133,7 @@ def test_first_return_over_a_plane(slope_deg: float) -> None:
         assert first - depth == pytest.approx(-0.067, abs=0.001)  # what a wide beam hides at 2.5 m
 
 
-def test_place_level_and_depth() -> None:
+def test_place_level_and_depth():
     table, facts = located(np.full(100, 2.0))
     assert facts["pings"] == facts["by_reason"][""] == 100
     first = table.iloc[0]
@@ -143,7 +142,7 @@ def test_place_level_and_depth() -> None:
     assert (first["level_m"], first["depth_m"]) == pytest.approx((0.0, 2.1), abs=1e-9)
 
 
-def test_sound_speed_scales_depths_and_its_sigma_counts() -> None:
+def test_sound_speed_scales_depths_and_its_sigma_counts():
     echo = EchoSounder(
         set_sound_speed_mps=1500.0, water_temperature_c=10.0, sigma_temperature_c=2.0, sigma_sound_speed=0.0
     )
@@ -157,7 +156,7 @@ def test_sound_speed_scales_depths_and_its_sigma_counts() -> None:
     check_whole(told.value)
 
 
-def test_every_reason_is_found_and_only_there() -> None:
+def test_every_reason_is_found_and_only_there():
     rng = np.random.default_rng(3)
     d = 1.5 + 0.3 * np.sin(np.arange(400) / 60) + 0.02 * rng.standard_normal(400)
     d[40] = 0.0
@@ -179,7 +178,7 @@ def test_every_reason_is_found_and_only_there() -> None:
 
 
 @pytest.mark.parametrize("instrument_median", [False, True])
-def test_weeds_are_found_where_they_are_most_of_the_echoes(instrument_median: bool) -> None:
+def test_weeds_are_found_where_they_are_most_of_the_echoes(instrument_median):
     """Patches of up to 4 m in which every other echo comes from a plant, on an uneven bed; and none."""
     rng = np.random.default_rng(0)
     x = 0.2 * np.arange(4000)
@@ -217,7 +216,7 @@ def test_weeds_are_found_where_they_are_most_of_the_echoes(instrument_median: bo
     assert (judged(d, weeds_m=2.1) == judged(d, weeds_m=0.0)).all()
 
 
-def test_pings_without_pose_or_time_are_counted() -> None:
+def test_pings_without_pose_or_time_are_counted():
     table, facts = locate_soundings(
         pd.concat([depths(np.full(50, 2.0), start_s=58.0), depths(np.full(3, 2.0)).assign(t_gps_s=np.nan)]),
         straight(),
@@ -232,7 +231,7 @@ def test_pings_without_pose_or_time_are_counted() -> None:
     assert table.loc[table["reason"] == "no pose", "up_m"].isna().all()
 
 
-def test_decisions_by_hand_are_obeyed(tmp_path: Path) -> None:
+def test_decisions_by_hand_are_obeyed(tmp_path):
     path = tmp_path / "decisions.csv"
     path.write_text("t_from_s,t_to_s,keep,remark\n3.95,4.05,false,fish\n5.95,6.05,true,a stone\n")
     d = np.full(100, 2.0)
@@ -246,13 +245,13 @@ def test_decisions_by_hand_are_obeyed(tmp_path: Path) -> None:
         located(d, decisions=path)
 
 
-def test_nothing_left_says_why() -> None:
+def test_nothing_left_says_why():
     with pytest.raises(InputError, match="none of 30 soundings counts; 30 of them: shallower") as told:
         located(np.full(30, 0.1))
     check_whole(told.value)
 
 
-def test_lines_end_at_turns() -> None:
+def test_lines_end_at_turns():
     t = np.arange(0.0, 120.02, 0.02)
     leg = (t // 20).astype(int)
     north = np.where(leg % 2 == 0, t % 20, 20 - t % 20)
@@ -266,7 +265,7 @@ def test_lines_end_at_turns() -> None:
     assert (number == 1).all()
 
 
-def test_slopes_are_put_in_once() -> None:
+def test_slopes_are_put_in_once():
     """A second correction with the same slopes changes nothing: the first is not counted twice."""
     echo = EchoSounder(beam_deg=5.0)
     table, _ = located(np.full(100, 2.5), echo=echo)
@@ -279,7 +278,7 @@ def test_slopes_are_put_in_once() -> None:
         np.testing.assert_allclose(twice[name], once[name], atol=1e-12)
 
 
-def test_a_ping_without_bottom_has_no_slope() -> None:
+def test_a_ping_without_bottom_has_no_slope():
     """It has a transducer and no bed below it: nothing to divide by."""
     echo = EchoSounder(beam_deg=5.0)
     table, _ = located(np.where(np.arange(100) == 50, 0.0, 2.5), echo=echo)
@@ -293,7 +292,7 @@ def test_a_ping_without_bottom_has_no_slope() -> None:
     ("order", "tvu_m", "thu_m"),
     [("exclusive", 0.3354, 1.0), ("special", 0.3905, 2.0), ("1a", 0.7214, 7.0), ("2", 1.3588, 24.0)],
 )
-def test_limits_of_s44_in_40_m_of_water(order: str, tvu_m: float, thu_m: float) -> None:
+def test_limits_of_s44_in_40_m_of_water(order, tvu_m, thu_m):
     """sqrt(a^2 + (b d)^2) and c + e d of the standard's table 1; three soundings in and out."""
     table = pd.DataFrame(
         {
@@ -309,7 +308,7 @@ def test_limits_of_s44_in_40_m_of_water(order: str, tvu_m: float, thu_m: float) 
     assert (row["share_tvu"], row["share_thu"], row["share"]) == pytest.approx((2 / 3, 2 / 3, 1 / 3))
 
 
-def test_soundings_on_the_map_are_those_that_count() -> None:
+def test_soundings_on_the_map_are_those_that_count():
     table, _ = located(np.append(np.full(60, 2.0), 0.0))
     found = soundings_on_map(table, FRAME, CRS.from_epsg(25833))
     assert len(found) == 60
@@ -333,7 +332,7 @@ def test_soundings_on_the_map_are_those_that_count() -> None:
     assert soundings_on_map(rough, FRAME, CRS.from_epsg(25833))["order"].tolist() == ["1a"] * 30 + [""] * 30
 
 
-def test_a_tilt_of_the_beam_moves_it_sideways_and_an_unknown_one_counts() -> None:
+def test_a_tilt_of_the_beam_moves_it_sideways_and_an_unknown_one_counts():
     """10 degrees forward at a range of 2 m: 2 sin 10 ahead, 2 cos 10 down; 1 degree of sigma: 3.5 cm."""
     flat, tilted = (
         EchoSounder(beam_deg=0.0, tilt_deg=[pitch, 0.0], sigma_tilt_deg=0.0) for pitch in (0.0, 10.0)
@@ -348,12 +347,12 @@ def test_a_tilt_of_the_beam_moves_it_sideways_and_an_unknown_one_counts() -> Non
         assert unknown[name].iloc[5] - level[name].iloc[5] == pytest.approx(by, abs=1e-9)
 
 
-def test_the_width_of_the_beam_on_a_level_bed() -> None:
+def test_the_width_of_the_beam_on_a_level_bed():
     table, _ = located(np.full(30, 2.0), echo=EchoSounder(beam_deg=10.0))
     assert table["footprint_m"].iloc[5] == pytest.approx(2 * 2.0 * np.tan(np.deg2rad(5.0)))
 
 
-def test_a_boat_that_turns_too_fast_takes_no_soundings() -> None:
+def test_a_boat_that_turns_too_fast_takes_no_soundings():
     """A turn of 30 degrees within a second at t = 30: 15 degrees a second over two seconds."""
     t = straight().t_gps_s
     heading = np.deg2rad(np.clip(30.0 * (t - 29.5), 0.0, 30.0))
@@ -371,7 +370,7 @@ def lines_of(t: np.ndarray, east: np.ndarray, north: np.ndarray) -> list[int]:
     return _lines(t, np.column_stack([east, north, 0 * t]), np.ones(len(t), dtype=bool), 30.0).tolist()
 
 
-def test_a_line_ends_at_a_gap_and_scraps_join_the_line_before() -> None:
+def test_a_line_ends_at_a_gap_and_scraps_join_the_line_before():
     t = np.concatenate([np.arange(0.0, 20.0), np.arange(31.0, 50.0)])
     assert lines_of(t, t, 0 * t) == [0] * 20 + [1] * 19
     t = np.concatenate([np.arange(0.0, 20.0), np.arange(29.0, 50.0)])
@@ -381,7 +380,7 @@ def test_a_line_ends_at_a_gap_and_scraps_join_the_line_before() -> None:
     assert lines_of(np.array([3.0]), np.zeros(1), np.zeros(1)) == [0]
 
 
-def test_a_bend_stays_one_line_and_a_corner_makes_two() -> None:
+def test_a_bend_stays_one_line_and_a_corner_makes_two():
     """A curve of one degree a metre is followed, 45 degrees at once are not; who stands has no course."""
     t = np.arange(0.0, 120.0)
     course = np.deg2rad(t)
@@ -397,7 +396,7 @@ def test_a_bend_stays_one_line_and_a_corner_makes_two() -> None:
     assert set(lines_of(t, *noise)) == {0}
 
 
-def test_each_line_is_drawn_with_what_it_lost(tmp_path: Path) -> None:
+def test_each_line_is_drawn_with_what_it_lost(tmp_path):
     """Two lines with a gap; what does not count stands on the line before it."""
     d = np.full(120, 2.0)
     d[90] = 3.1

@@ -31,7 +31,7 @@ FEW_STEPS = 40
 
 
 @pytest.fixture(autouse=True)
-def no_picture(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> None:
+def no_picture(monkeypatch, request):
     """A picture takes as long as the bed: it is drawn where it is looked at."""
     monkeypatch.setattr("thalweg.figures.save", lambda *_: None)
     if request.node.get_closest_marker("real") is None:
@@ -50,7 +50,7 @@ def bed_of(s: np.ndarray, n: np.ndarray) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def river(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def river(tmp_path_factory):
     """Soundings of a zigzag (noise 3 cm), banks with and without sides, as lines and as a polygon."""
     folder = tmp_path_factory.mktemp("river")
     line = meander()
@@ -121,7 +121,7 @@ def made(river: Path, out: Path, *words: str, table: str = "soundings.csv") -> d
 
 
 @pytest.fixture(scope="module")
-def of_heights(river: Path, tmp_path_factory: pytest.TempPathFactory) -> dict:
+def of_heights(river, tmp_path_factory):
     """The bed of heights between banks with sides."""
     words = ["--height", "h", "--line", "leg", "--banks", str(river / "sides.geojson")]
     with pytest.MonkeyPatch.context() as patch:
@@ -129,7 +129,7 @@ def of_heights(river: Path, tmp_path_factory: pytest.TempPathFactory) -> dict:
         return made(river, tmp_path_factory.mktemp("heights"), *words)
 
 
-def test_the_bed_between_two_bank_lines(river: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_bed_between_two_bank_lines(river, tmp_path, monkeypatch):
     monkeypatch.undo()
     words = ["--height", "h", "--banks", str(river / "banks.geojson"), "--drift", "section"]
     facts = made(river, tmp_path, *words)
@@ -152,9 +152,7 @@ def test_the_bed_between_two_bank_lines(river: Path, tmp_path: Path, monkeypatch
     assert len(colours) > 100  # maps of height and sigma, no empty page
 
 
-def test_banks_with_sides_as_polygon_or_none_give_the_same_bed(
-    river: Path, tmp_path: Path, of_heights: dict
-) -> None:
+def test_banks_with_sides_as_polygon_or_none_give_the_same_bed(river, tmp_path, of_heights):
     words = ["--height", "h", "--line", "leg"]
     several = {
         "sides": of_heights,
@@ -175,7 +173,7 @@ def test_banks_with_sides_as_polygon_or_none_give_the_same_bed(
     assert several["none"]["n_most"] < 9.5 < several["water"]["n_most"]
 
 
-def test_depths_below_a_level_are_heights(river: Path, tmp_path: Path, of_heights: dict) -> None:
+def test_depths_below_a_level_are_heights(river, tmp_path, of_heights):
     words = ["--line", "leg", "--banks", str(river / "sides.geojson")]
     shape_alone = made(river, tmp_path / "d", "--depth", "depth", *words)
     assert shape_alone["mean_height"] == pytest.approx(of_heights["mean_height"] - 100, abs=1e-3)
@@ -185,7 +183,7 @@ def test_depths_below_a_level_are_heights(river: Path, tmp_path: Path, of_height
     assert with_banks["mean_height"] > of_heights["mean_height"] + 0.02
 
 
-def test_text_without_names_and_repeated_places(river: Path, tmp_path: Path) -> None:
+def test_text_without_names_and_repeated_places(river, tmp_path):
     text = (river / "bare.xyz").read_text().splitlines()
     east, north, h = text[100].split()
     extra = [f"{east} {north} {float(h) + 1.0:.4f}", text[200], f"{east} {north} nan"]
@@ -199,7 +197,7 @@ def test_text_without_names_and_repeated_places(river: Path, tmp_path: Path) -> 
     assert facts["true_rms"] < 0.15
 
 
-def test_a_file_joined_with_itself_is_the_same_soundings(river: Path, tmp_path: Path) -> None:
+def test_a_file_joined_with_itself_is_the_same_soundings(river, tmp_path):
     text = (river / "soundings.csv").read_text()
     (tmp_path / "twice.csv").write_text(text + text)
     once, twice = (
@@ -243,7 +241,7 @@ BAD = {
 
 
 @pytest.fixture
-def raised(monkeypatch: pytest.MonkeyPatch) -> list[ThalwegError]:
+def raised(monkeypatch):
     """Errors in the order in which they are raised."""
     errors: list[ThalwegError] = []
     make = ThalwegError.__init__
@@ -257,9 +255,7 @@ def raised(monkeypatch: pytest.MonkeyPatch) -> list[ThalwegError]:
 
 
 @pytest.mark.parametrize("case", BAD)
-def test_mistakes_are_told(
-    case: str, river: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], raised: list[ThalwegError]
-) -> None:
+def test_mistakes_are_told(case, river, tmp_path, capsys, raised):
     words, message = BAD[case]
     table = pd.read_csv(river / "soundings.csv").assign(same=1)
     table["minus"] = -table["depth"]
@@ -276,9 +272,7 @@ def test_mistakes_are_told(
     assert not (tmp_path / "o").exists()
 
 
-def test_a_full_disk_says_what_to_do(
-    river: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_full_disk_says_what_to_do(river, tmp_path, capsys, monkeypatch):
     def full(*_: object, **__: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device", str(tmp_path / "flow.csv"))
 
@@ -288,9 +282,7 @@ def test_a_full_disk_says_what_to_do(
     assert "flow.csv: No space left on device. Make room there" in capsys.readouterr().err
 
 
-def test_an_island_is_no_bed(
-    river: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], of_heights: dict
-) -> None:
+def test_an_island_is_no_bed(river, tmp_path, capsys, of_heights):
     """Cells of an island are empty, all others as without it."""
     middle = meander().to_map(np.array([150.0]), np.array([0.0]))[0]
     ring = [(middle + d).tolist() for d in ([-6, -6], [6, -6], [6, 6], [-6, 6], [-6, -6])]
@@ -316,9 +308,7 @@ def test_an_island_is_no_bed(
     ("rows", "message"),
     [(1, "1 soundings"), (40, "one straight line"), (0, "0 soundings"), (-40, "39 more rows at the same")],
 )
-def test_too_few_soundings(
-    rows: int, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], raised: list[ThalwegError]
-) -> None:
+def test_too_few_soundings(rows, message, tmp_path, capsys, raised):
     step = 1e-6 if rows < 0 else 1.0  # degrees
     k = step * np.arange(abs(rows))
     table = pd.DataFrame({"x": EAST + k, "y": NORTH + 2.0 * k, "z": 1.0})
@@ -329,7 +319,7 @@ def test_too_few_soundings(
     check_whole(raised[-1])
 
 
-def test_flow_coordinates_of_a_table(river: Path, tmp_path: Path) -> None:
+def test_flow_coordinates_of_a_table(river, tmp_path):
     places = meander().to_map(np.array([100.0, 150.0]), np.array([3.0, -2.0]))
     table = pd.DataFrame({"id": ["a", "b", "c"], "x": [*places[:, 0], np.nan], "y": [*places[:, 1], 0.0]})
     table.to_csv(tmp_path / "p.csv", index=False, float_format="%.9f")
@@ -343,14 +333,14 @@ def test_flow_coordinates_of_a_table(river: Path, tmp_path: Path) -> None:
 
 
 @pytest.fixture
-def few_cells(monkeypatch: pytest.MonkeyPatch) -> None:
+def few_cells(monkeypatch):
     """Plans are judged by fewer places than else: their sigma is a quantile of all."""
     monkeypatch.setattr("thalweg.bathymetry.plan._CELLS", 1000)
 
 
 @pytest.mark.usefixtures("few_cells")
 @pytest.mark.parametrize("pattern", ["zigzag", "sections", "along"])
-def test_a_plan_reaches_the_wanted_sigma(pattern: str, river: Path, tmp_path: Path) -> None:
+def test_a_plan_reaches_the_wanted_sigma(pattern, river, tmp_path):
     words = ["plan-survey", str(river / "sides.geojson"), "--crs", CRS, "--pattern", pattern]
     words += ["--speed", "1", "--out", str(tmp_path), "--margin", "1", "--force"]
     assert main([*words, "--sigma", "0.12"]) == 0
@@ -367,7 +357,7 @@ def test_a_plan_reaches_the_wanted_sigma(pattern: str, river: Path, tmp_path: Pa
 
 
 @pytest.mark.usefixtures("few_cells")
-def test_a_plan_that_cannot_be(river: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_plan_that_cannot_be(river, tmp_path, capsys):
     words = ["plan-survey", str(river / "sides.geojson"), "--crs", CRS, "--pattern", "zigzag", "--speed", "1"]
     assert main([*words, "--sigma", "0.1", "--margin", "12", "--out", str(tmp_path / "o")]) == 2
     assert "no 24 m of water between the banks" in capsys.readouterr().err
@@ -375,7 +365,7 @@ def test_a_plan_that_cannot_be(river: Path, tmp_path: Path, capsys: pytest.Captu
     assert "0.0001 was wanted" in capsys.readouterr().err
 
 
-def test_waypoints_of_each_pattern_by_hand() -> None:
+def test_waypoints_of_each_pattern_by_hand():
     """A river 10 m wide to the left of its line, 6 m to the right; 2 m off the banks over 60 m of it."""
     s = np.array([0.0, 100.0])
     line = FlowLine.through(np.column_stack([np.linspace(0.0, 100.0, 11), np.zeros(11)]))
@@ -405,9 +395,7 @@ def hand_over(facts: dict[str, Any], record_property: Any) -> None:
 
 
 @pytest.mark.real
-def test_real_sections_are_predicted_as_well_as_said(
-    data_dir: Path, tmp_path: Path, record_property: Any
-) -> None:
+def test_real_sections_are_predicted_as_well_as_said(data_dir, tmp_path, record_property):
     """29 sections of a river, one left out at a time.
 
     The published setting gives 0.84 m with 36 % outside, the same range along and across 1.15 m.
@@ -445,7 +433,7 @@ def test_real_sections_are_predicted_as_well_as_said(
 
 
 @pytest.mark.real
-def test_a_small_real_river_of_170_soundings(data_dir: Path, tmp_path: Path, record_property: Any) -> None:
+def test_a_small_real_river_of_170_soundings(data_dir, tmp_path, record_property):
     """15 sections of a stream 24 m wide over 1.05 km (Lujan), banks through the ends of 41 lines."""
     folder = data_dir / "river_bottom_interpolator" / "Lujan"
     points = json.loads((folder / "elevation_points.geojson").read_text())["features"]

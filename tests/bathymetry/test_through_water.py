@@ -1,7 +1,6 @@
 """Refraction at the water's surface: against Fermat's principle, and on a drone's real points."""
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -31,7 +30,7 @@ def apparent_height(depth_m: float, camera: np.ndarray, index: float) -> float:
 
 
 @pytest.mark.parametrize("depth_m", [0.3, 1.2, 4.0])
-def test_two_cameras_give_the_depth_that_least_time_gives(depth_m: float) -> None:
+def test_two_cameras_give_the_depth_that_least_time_gives(depth_m):
     seen = apparent_height(depth_m, CAMERAS[1], 1.34)
     assert -seen < depth_m / 1.33
     row = correct_refraction([[0.0, 0.0, seen]], 0.0, CAMERAS, index=1.34).iloc[0]
@@ -39,7 +38,7 @@ def test_two_cameras_give_the_depth_that_least_time_gives(depth_m: float) -> Non
     assert (row.n_cameras, row.state) == (2, "corrected")
 
 
-def test_sigmas_are_those_of_many_draws() -> None:
+def test_sigmas_are_those_of_many_draws():
     """Errors of point, level and index are drawn; one camera, so that the factor has no scatter."""
     rng = np.random.default_rng(5)
     sigma = {"sigma_point_m": 0.03, "sigma_water_m": 0.05, "sigma_index": 0.02}
@@ -52,13 +51,13 @@ def test_sigmas_are_those_of_many_draws() -> None:
     assert np.std(heights) / stated.sigma_height_m.iloc[0] == pytest.approx(1.0, abs=0.05)
 
 
-def test_cameras_that_disagree_enlarge_the_sigma() -> None:
+def test_cameras_that_disagree_enlarge_the_sigma():
     low = np.array([[0.0, 0.0, 20.0], [12.0, 0.0, 20.0]])
     one, two = (correct_refraction([[0.0, 0.0, -2.0]], 0.0, c).iloc[0] for c in (low[:1], low))
     assert two.sigma_height_m > 20 * one.sigma_height_m > 0
 
 
-def test_dry_points_stay_and_lost_ones_say_why() -> None:
+def test_dry_points_stay_and_lost_ones_say_why():
     points = [[0.0, 0.0, 0.4], [0.0, 0.0, -0.4], [0.0, 0.0, -0.4], [90.0, 0.0, -0.4]]
     table = correct_refraction(points, [0.0, 0.0, np.nan, 0.0], CAMERAS)
     assert table.state.tolist() == [
@@ -72,7 +71,7 @@ def test_dry_points_stay_and_lost_ones_say_why() -> None:
     assert table.sigma_height_m.isna().tolist() == [False, False, True, True]
 
 
-def test_bad_input_is_named() -> None:
+def test_bad_input_is_named():
     with pytest.raises(GeometryError, match="2 of 2 cameras stand at or below the water"):
         correct_refraction([[0.0, 0.0, 40.0]], 50.0, CAMERAS)
     with pytest.raises(InputError, match=r"index 0\.75"):
@@ -91,9 +90,7 @@ def real_points(folder: Path) -> pd.DataFrame:
     )
 
 
-def test_points_of_a_drone_become_deeper_by_the_published_factor(
-    data_dir: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], record_property: Any
-) -> None:
+def test_points_of_a_drone_become_deeper_by_the_published_factor(data_dir, tmp_path, capsys, record_property):
     """Every 20th point: the mean factor over all cameras within 35 degrees is 1.389 (n 3246)."""
     folder = data_dir / "pybathysfm" / "sample_data"
     points = real_points(folder)
@@ -110,7 +107,7 @@ def test_points_of_a_drone_become_deeper_by_the_published_factor(
     assert found.depth_m.mean() == pytest.approx(1.389 * 0.2305, abs=0.002)
 
 
-def test_tables_are_read_by_their_header(tmp_path: Path) -> None:
+def test_tables_are_read_by_their_header(tmp_path):
     path = tmp_path / "p.csv"
     path.write_text("Label,East,North,Z,level\na,1,2,3,4\nb,5,6,7,\n")
     places, water = read_columns(path, water="level")
@@ -127,7 +124,7 @@ def test_tables_are_read_by_their_header(tmp_path: Path) -> None:
         read_columns(path)
 
 
-def test_two_cameras_by_hand() -> None:
+def test_two_cameras_by_hand():
     """30 and 0 degrees from the vertical: sqrt((n^2 - 1/4) / (3/4)) and n, mean and half difference."""
     n, depth = 1.333, 2.0
     cameras = [[22.0 * np.tan(np.deg2rad(30.0)), 0.0, 20.0], [0.0, 0.0, 20.0], [22.0, 0.0, 20.0]]

@@ -23,7 +23,7 @@ def child(job: str, folder: Path) -> str:
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(tmp_path_factory):
     """Clouds of all sizes."""
     path = tmp_path_factory.mktemp("memory")
     child("clouds", path)
@@ -31,7 +31,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize("name", JOBS)
-def test_memory_is_what_is_stated(name: str, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_memory_is_what_is_stated(name, folder, capsys):
     """The smallest size, or what the job holds at a time if that is more; what grows; and a tenth."""
     job, found = JOBS[name], json.loads(child(name, folder))
     first, *_, last = peaks = found["peaks_mb"]

@@ -87,7 +87,7 @@ def frames_only(path: Path, find: Callable[..., tuple[int, int]]) -> int:
     return sum(b.kind.size for b in read_packets([path], find, StreamTally(), what="packet", cure=""))
 
 
-def test_anpp_beside_the_sdk(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_anpp_beside_the_sdk(tmp_path, capsys):
     small, large = tmp_path / "small.anpp", tmp_path / "large.anpp"
     small.write_bytes(anpp_log(4000))
     large.write_bytes(small.read_bytes() * 100)
@@ -105,7 +105,7 @@ def test_anpp_beside_the_sdk(tmp_path: Path, capsys: pytest.CaptureFixture[str])
 
 
 @pytest.mark.real
-def test_sbp_beside_the_library(tmp_path: Path, data_dir: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_sbp_beside_the_library(tmp_path, data_dir, capsys):
     small = data_dir / "sbp_piksi_rtk_2017" / "2017-05-12-v1.1.26.sbp"
     large = tmp_path / "large.sbp"
     large.write_bytes(small.read_bytes() * 40)
@@ -125,9 +125,7 @@ def test_sbp_beside_the_library(tmp_path: Path, data_dir: Path, capsys: pytest.C
 
 
 @pytest.mark.parametrize("kind", ["anpp", "sbp"])
-def test_memory_follows_the_tables_not_the_log(
-    kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_memory_follows_the_tables_not_the_log(kind, tmp_path, capsys):
     """A log that is mostly packets without table costs no memory for them."""
     rng = np.random.default_rng(1)
     if kind == "anpp":

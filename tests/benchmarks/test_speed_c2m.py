@@ -85,7 +85,7 @@ def cloud_compare_distances(folder: Path, n: int) -> np.ndarray:
     return np.frombuffer(body, dtype="<f4").reshape(n, 4)[:, 3].astype(np.float64)
 
 
-def test_cloud_to_mesh_beside_other_programs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_cloud_to_mesh_beside_other_programs(tmp_path, capsys):
     columns = turns.sized(FACES) // (2 * (ROWS - 1)) + 2
     bank = rough_bank.RoughBank(columns, ROWS, step_m=STEP_M, rough_m=ROUGH_M)
     points = bank.points(turns.sized(POINTS))

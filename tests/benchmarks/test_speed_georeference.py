@@ -162,7 +162,7 @@ def with_covariance(shots: Shots, boat: Trajectory) -> WorldPoints:
     )
 
 
-def test_pose_beside_scipy(capsys: pytest.CaptureFixture[str]) -> None:
+def test_pose_beside_scipy(capsys):
     shots = Shots(turns.sized(10e6))
     n, trajectory = len(shots), boat(len(shots) / SHOTS_HZ)
     own = georeference_points(shots.xyz, shots.t, trajectory, MOUNT)
@@ -197,7 +197,7 @@ def test_pose_beside_scipy(capsys: pytest.CaptureFixture[str]) -> None:
     assert 20 * took["own"] < min(took[name] for name in peers)
 
 
-def test_covariance_beside_numpy(capsys: pytest.CaptureFixture[str]) -> None:
+def test_covariance_beside_numpy(capsys):
     shots = Shots(turns.sized(10e6))
     few = Shots(max(len(shots) // 20, 1000))  # its rate does not depend on the number of chunks
     n, trajectory = len(shots), boat(len(shots) / SHOTS_HZ)
@@ -227,7 +227,7 @@ def test_covariance_beside_numpy(capsys: pytest.CaptureFixture[str]) -> None:
     assert ratio > 20
 
 
-def test_covariance_of_a_million_points(capsys: pytest.CaptureFixture[str]) -> None:
+def test_covariance_of_a_million_points(capsys):
     """Far below the 5 s that a million points may take on two cores; without the call that compiles."""
     shots = Shots(1_000_000)
     trajectory = boat(len(shots) / SHOTS_HZ)

@@ -188,7 +188,7 @@ def show(capsys: pytest.CaptureFixture[str], name: str, of: dict[str, float]) ->
         )
 
 
-def test_a_river_in_a_million_cells(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_river_in_a_million_cells(tmp_path, capsys):
     """100,000 soundings below 1 GB and 120 s; a million of them below 2 GB."""
     for soundings, most_gb in ((1e5, 1.0), (1e6, 2.0)):
         lay(tmp_path, turns.sized(soundings), turns.sized(1e6))
@@ -199,7 +199,7 @@ def test_a_river_in_a_million_cells(tmp_path: Path, capsys: pytest.CaptureFixtur
             assert found["cpu"] < 120
 
 
-def test_a_cell_beside_other_programs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_cell_beside_other_programs(tmp_path, capsys):
     """100,000 soundings: as cheap as splines without sigmas, a tenth of gstlearn, where it is at hand."""
     lay(tmp_path, turns.sized(1e5), turns.sized(1e5))
     ours = run(tmp_path, OURS.replace("OCTANTS", "False"))
@@ -219,7 +219,7 @@ def test_a_cell_beside_other_programs(tmp_path: Path, capsys: pytest.CaptureFixt
     assert ours["rmse"] < 1.1 * splines["rmse"]
 
 
-def test_a_cell_beside_pykrige(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_cell_beside_pykrige(tmp_path, capsys):
     """20,000 soundings, most of PyKrige's time in its constructor."""
     lay(tmp_path, turns.sized(2e4), turns.sized(1e5))
     ours = run(tmp_path, OURS.replace("OCTANTS", "False"))
@@ -229,7 +229,7 @@ def test_a_cell_beside_pykrige(tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert turns.SHARE < 1 or theirs["us"] > 50 * ours["us"]
 
 
-def test_a_reach_of_a_kilometre_and_a_half(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_reach_of_a_kilometre_and_a_half(tmp_path, capsys):
     """41,000 pings and a million points of the banks become a terrain model in 3 minutes, below 2 GB."""
     lay(tmp_path, 1000, 1000)
     found = run(tmp_path, REACH.replace("PINGS", str(turns.sized(41_000))))

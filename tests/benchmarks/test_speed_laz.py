@@ -98,7 +98,7 @@ def read_with_laspy(path: Path, names: tuple[str, ...]) -> int:
 
 
 @pytest.mark.slow
-def test_laz_beside_plain_laspy(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_laz_beside_plain_laspy(tmp_path, capsys):
     n = turns.sized(10e6)
     columns = cloud_columns(n)
     own, plain = tmp_path / "own.laz", tmp_path / "plain.laz"

@@ -61,7 +61,7 @@ def plain_loop(sensor, xy) -> np.ndarray:
     return out
 
 
-def test_millions_of_points_a_second() -> None:
+def test_millions_of_points_a_second():
     sensor = paper_4()
     centres = np.arange(2048) + 0.5
     xy = np.stack(np.meshgrid(centres, centres), axis=-1).reshape(-1, 2)

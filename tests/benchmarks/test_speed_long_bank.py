@@ -4,7 +4,6 @@ import json
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -47,9 +46,7 @@ print(json.dumps(run(folder / "long.pcap", folder / "long.parquet")))
 
 
 @pytest.mark.slow
-def test_75_million_points_on_two_cores(
-    tmp_path: Path, repository: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_75_million_points_on_two_cores(tmp_path, repository, capsys):
     wanted = turns.sized(75e6)
     seconds = bank.seconds_for(wanted)
     for name, duration_s in (("warm", 1.5), ("long", seconds)):

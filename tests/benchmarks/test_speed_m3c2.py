@@ -136,7 +136,7 @@ def run(folder: Path, text: str, path: str) -> dict[str, list[float]]:
     return json.loads(done.stdout.splitlines()[-1])
 
 
-def test_distances_beside_py4dgeo(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_distances_beside_py4dgeo(tmp_path, capsys):
     folder = os.environ.get("THALWEG_PY4DGEO")
     if not folder:
         pytest.skip("set THALWEG_PY4DGEO to a folder with py4dgeo (head of this file)")
@@ -188,7 +188,7 @@ def test_distances_beside_py4dgeo(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert each_ms["ep"] > 20.0 * each_ms["ours"]
 
 
-def test_large_clouds_in_pieces(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_large_clouds_in_pieces(tmp_path, capsys):
     """2 x 10 million points: below 1.5 GB, and the same numbers however many pieces there are."""
     rng = np.random.default_rng(2)
     n = turns.sized(1e7)

@@ -26,7 +26,7 @@ COLOURS_S, COLOURS_GB = 60.0, 2.0
 
 
 @pytest.mark.slow
-def test_a_panorama_of_14_million_pixels(tmp_path: Path, rng: np.random.Generator) -> None:
+def test_a_panorama_of_14_million_pixels(tmp_path, rng):
     small = rig_of_the_shelf()
     scale = WIDTH / 1200
     lens = small.cameras["front"].parameters.copy()
@@ -69,9 +69,7 @@ def coloured(folder: Path, points: str, photographs: Photographs) -> tuple[float
 
 
 @pytest.mark.slow
-def test_ten_million_points_in_the_colours_of_180_photographs(
-    tmp_path: Path, rng: np.random.Generator
-) -> None:
+def test_ten_million_points_in_the_colours_of_180_photographs(tmp_path, rng):
     """A bank of 180 m, 8 to 12 m off, passed at 1 m/s with a photograph of 1.9 megapixels a second."""
     size = (1600, 1200)
     camera = Camera(

@@ -85,7 +85,7 @@ def clouds_alone(path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_recorders_beside_their_libraries(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_recorders_beside_their_libraries(tmp_path, capsys):
     log, told, ubx = (tmp_path / name for name in ("boat.bin", "boat.tlog", "boat.ubx"))
     log.write_bytes(test_ardupilot.heads() + test_ardupilot.boat_log()[len(test_ardupilot.heads()) :] * 20)
     told.write_bytes(test_ardupilot.telemetry() * 100)

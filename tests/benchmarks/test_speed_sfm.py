@@ -7,7 +7,6 @@ so that its peak memory is that of the run. Seconds are those of the processor, 
 import json
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 from PIL import Image
@@ -48,9 +47,7 @@ print(json.dumps({
     ("megapixels", "max_size_px", "double_size"),
     [(2, 20_000, True), (8, 20_000, True), (16, 20_000, True), (16, 3200, True), (16, 20_000, False)],
 )
-def test_time_and_memory(
-    data_dir: Path, tmp_path: Path, megapixels: int, max_size_px: int, double_size: bool
-) -> None:
+def test_time_and_memory(data_dir, tmp_path, megapixels, max_size_px, double_size):
     width = round((megapixels * 1e6 * 1.5) ** 0.5)
     for path in sorted((data_dir / "dbat_roma/dbat/images/roma").glob("*.JPG"))[:N_IMAGES]:
         with Image.open(path) as image:
@@ -98,7 +95,7 @@ print(json.dumps({
     ("images", "start"),
     [(n, "predicted") for n in (80, 160, 320, 640, 1025)] + [(n, "incremental") for n in (80, 160, 320)],
 )
-def test_time_of_the_mapper(images: int, start: str) -> None:
+def test_time_of_the_mapper(images, start):
     """How the time of the one job that cannot be dealt out grows with the number of images."""
     run = subprocess.run(
         [sys.executable, "-c", MAPPER, str(images), start], capture_output=True, text=True, check=True

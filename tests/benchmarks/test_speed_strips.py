@@ -22,7 +22,7 @@ LEAST_COMMON = 40
 """Cells that a pair has in common."""
 
 
-def test_strips_beside_open3d() -> None:
+def test_strips_beside_open3d():
     half_s = max(120.0 * SHARE, 20.0)
     drawn = draw(9000, Spec(length_m=half_s, estimate=False))
     x, t = drawn.sample.xyz_wcs_m, drawn.sample.t_gps_s

@@ -1,12 +1,10 @@
 """Budgets of the repository."""
 
-from pathlib import Path
-
 import pytest
 
-from thalweg.budgets import Budget, read_budget
+from thalweg.budgets import read_budget
 
 
 @pytest.fixture(scope="session")
-def budgets(repository: Path) -> dict[str, Budget]:
+def budgets(repository):
     return {path.stem: read_budget(path) for path in (repository / "resources/budgets").glob("*.yaml")}

@@ -2,7 +2,6 @@
 
 import re
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -27,7 +26,7 @@ D = np.array([5.0, 10.0, 25.0, 50.0])
 
 
 @pytest.fixture
-def example(repository: Path, tmp_path: Path) -> Path:
+def example(repository, tmp_path):
     """The budget that the manual shows."""
     (text,) = re.findall(r"```yaml\n(.*?)```", (repository / "docs/budgets.md").read_text(), re.S)
     path = tmp_path / "boat.yaml"
@@ -35,7 +34,7 @@ def example(repository: Path, tmp_path: Path) -> Path:
     return path
 
 
-def test_the_example_of_the_manual_runs(example: Path) -> None:
+def test_the_example_of_the_manual_runs(example):
     budget = read_budget(example)
     table = influences(budget)
     assert set(table["input"]) == {*(item.key for item in budget.inputs), "correlations", "total"}
@@ -45,7 +44,7 @@ def test_the_example_of_the_manual_runs(example: Path) -> None:
     assert rmse_mm(budget) > 0
 
 
-def test_totals_hold_the_covariance_terms(example: Path) -> None:
+def test_totals_hold_the_covariance_terms(example):
     budget = read_budget(example)
     table = influences(budget).pivot_table(index="distance_m", columns="input", values="influence_mm")
     alone = (table.drop(columns=["total", "correlations"]) ** 2).sum(axis=1)
@@ -59,13 +58,13 @@ def test_totals_hold_the_covariance_terms(example: Path) -> None:
     np.testing.assert_allclose(alone - shared, flipped["total"] ** 2, rtol=1e-9)
 
 
-def test_normal_components_add_up_to_the_total(budgets) -> None:
+def test_normal_components_add_up_to_the_total(budgets):
     budget = budgets["p2_table1"]
     parts = [influences(budget, D, normal=n)["influence_mm"] ** 2 for n in np.eye(3)]
     np.testing.assert_allclose(sum(parts), influences(budget, D)["influence_mm"] ** 2, rtol=1e-9)
 
 
-def test_budgets_and_points_share_one_formula(budgets) -> None:
+def test_budgets_and_points_share_one_formula(budgets):
     """The covariance of a budget is that of a lidar point with the same pose, mount and sigmas."""
     budget = budgets["p2_table1"]
     outer, inner = budget.frames
@@ -95,7 +94,7 @@ def test_budgets_and_points_share_one_formula(budgets) -> None:
     np.testing.assert_allclose(covariance(budget, D), cov, rtol=1e-10, atol=1e-18)
 
 
-def test_totals_agree_with_draws_through_the_chain(budgets, rng: np.random.Generator) -> None:
+def test_totals_agree_with_draws_through_the_chain(budgets, rng):
     """Nothing of the first-order formula is used: angles are changed and points sent through the chain."""
     budget = budgets["p2_table1"]
     n, d = 40_000, 25.0
@@ -117,7 +116,7 @@ def test_totals_agree_with_draws_through_the_chain(budgets, rng: np.random.Gener
     assert 1e3 * np.sqrt(np.var(x, axis=0).sum()) == pytest.approx(totals_mm(budget, [d])[0], rel=0.014)
 
 
-def test_roll_pitch_and_heading_turn_about_their_own_axes(example: Path) -> None:
+def test_roll_pitch_and_heading_turn_about_their_own_axes(example):
     budget = read_budget(example)
     frame = budget.frames[0]
     angles = np.deg2rad(list(frame.angles_deg.values()))
@@ -132,12 +131,12 @@ def test_roll_pitch_and_heading_turn_about_their_own_axes(example: Path) -> None
 
 
 @pytest.mark.parametrize("distances", [[0.0], [-5.0], [np.nan], [], [[5.0]]])
-def test_distances_that_are_none(budgets, distances) -> None:
+def test_distances_that_are_none(budgets, distances):
     with pytest.raises(GeometryError, match="above 0 m"):
         influences(budgets["p2_table1"], distances)
 
 
-def test_a_normal_without_length(budgets) -> None:
+def test_a_normal_without_length(budgets):
     with pytest.raises(GeometryError, match="a length above 0"):
         influences(budgets["p2_table1"], normal=[0, 0, 0])
     with pytest.raises(GeometryError, match="survey"):
@@ -164,7 +163,7 @@ MISTAKES = {
 
 
 @pytest.mark.parametrize("good", MISTAKES)
-def test_each_mistake_is_told_with_its_line(example: Path, good: str) -> None:
+def test_each_mistake_is_told_with_its_line(example, good):
     text = example.read_text()
     bad, answer = MISTAKES[good]
     assert text.count(good) == 1
@@ -175,7 +174,7 @@ def test_each_mistake_is_told_with_its_line(example: Path, good: str) -> None:
     assert f"{example}:{line}: " in str(error.value) or "titel" in bad
 
 
-def test_all_mistakes_come_at_once(example: Path) -> None:
+def test_all_mistakes_come_at_once(example):
     text = example.read_text()
     for good, (bad, _) in MISTAKES.items():
         text = text.replace(good, bad)
@@ -186,13 +185,13 @@ def test_all_mistakes_come_at_once(example: Path) -> None:
         assert answer in str(error.value), answer
 
 
-def test_an_error_of_time_needs_a_motion(example: Path) -> None:
+def test_an_error_of_time_needs_a_motion(example):
     example.write_text(re.sub(r"motion:.*\n  angles.*\n  axes.*\n", "", example.read_text()))
     with pytest.raises(ConfigError, match="an error of time, but no motion"):
         read_budget(example)
 
 
-def test_correlations_that_cannot_hold_together(example: Path) -> None:
+def test_correlations_that_cannot_hold_together(example):
     more = "  - {between: [ics.roll, ics.pitch], value: 0.9}\n"
     more += "  - {between: [ics.pitch, ics.heading], value: -0.9}\n"
     example.write_text(example.read_text().replace("value: 0.3}\n", "value: 0.9}\n" + more))
@@ -200,7 +199,7 @@ def test_correlations_that_cannot_hold_together(example: Path) -> None:
         read_budget(example)
 
 
-def test_a_budget_based_on_another(example: Path) -> None:
+def test_a_budget_based_on_another(example):
     path = example.with_name("better.yaml")
     path.write_text(
         "based_on: boat.yaml\ntitle: The same with a dual antenna\nsource: plan\nstatus: assumed\n"
@@ -224,7 +223,7 @@ def test_a_budget_based_on_another(example: Path) -> None:
         read_budget(path)
 
 
-def test_tables_of_a_budget(example: Path, budgets) -> None:
+def test_tables_of_a_budget(example, budgets):
     budget = read_budget(example)
     table = long_table(budget)
     total = table[table["input"] == "total"]

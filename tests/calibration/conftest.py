@@ -1,12 +1,10 @@
 """What several files of this folder begin with."""
 
-from collections.abc import Callable
-
 import pytest
 
 
 @pytest.fixture
-def field_text() -> Callable[[list[int], list[int]], str]:
+def field_text():
     """Text of a field's description: two cones with markers from the first id to the last, and two bars."""
 
     def text(first: list[int], second: list[int]) -> str:

@@ -24,7 +24,7 @@ def lying(turn: ArrayF) -> ArrayF:
 
 
 @pytest.mark.parametrize("offset", [0.02, -0.03])
-def test_the_phase_centre_lies_above_the_print(offset: float) -> None:
+def test_the_phase_centre_lies_above_the_print(offset):
     turn = rotation_opk(0.1, -0.05, 0.8)
     mark = phase_centre(lying(turn), np.eye(12) * 1e-8, offset_m=offset, sigma_offset_m=0.001)
     assert mark.normal == pytest.approx(turn[:, 2])
@@ -33,7 +33,7 @@ def test_the_phase_centre_lies_above_the_print(offset: float) -> None:
     assert np.sqrt(mark.normal @ mark.cov_m2 @ mark.normal) == pytest.approx(0.001, rel=0.01)
 
 
-def test_the_covariance_is_that_of_drawn_errors(rng: np.random.Generator) -> None:
+def test_the_covariance_is_that_of_drawn_errors(rng):
     root = rng.normal(size=(12, 12)) * 1.5e-4
     C = root @ root.T
     turn = rotation_opk(0.1, -0.05, 0.8)
@@ -55,7 +55,7 @@ def test_the_covariance_is_that_of_drawn_errors(rng: np.random.Generator) -> Non
     assert cov[3:, 3:] / scale[3:, 3:] == pytest.approx(seen.cov_scs_m2 / scale[3:, 3:], abs=0.147)
 
 
-def test_seen_from_the_scanner_it_is_where_the_frames_say() -> None:
+def test_seen_from_the_scanner_it_is_where_the_frames_say():
     mark = phase_centre(lying(np.eye(3)), np.eye(12) * 1e-8, offset_m=0.02, sigma_offset_m=0.001)
     seen = antenna_lever(mark, T_PCS_CCS, T_CCS_SCS)
     assert (T_PCS_CCS @ T_CCS_SCS).apply(seen.x_scs_m[None])[0] == pytest.approx(mark.point_m)
@@ -91,7 +91,7 @@ def seen_at(off_m: ArrayF) -> AntennaLever:
     )
 
 
-def test_a_marker_far_from_the_antenna_is_refused_with_both_places() -> None:
+def test_a_marker_far_from_the_antenna_is_refused_with_both_places():
     check_nominal(seen_at(np.array([0.1, -0.2, 0.1])), LIDAR, ANTENNA, marker=98)
     with pytest.raises(
         GeometryError, match=r"marker 98 puts the antenna at \(\+2\.10, -0\.05, -0\.45\) m"
@@ -105,7 +105,7 @@ def test_a_marker_far_from_the_antenna_is_refused_with_both_places() -> None:
         assert words in str(error.value)
 
 
-def test_a_roughly_known_place_is_no_reason_to_refuse() -> None:
+def test_a_roughly_known_place_is_no_reason_to_refuse():
     far = seen_at(np.array([0.9, 0.0, 0.0]))
     rough = LIDAR | {"sigma_lever_m": [0.3, 0.3, 0.3]}  # five sigmas are 1.5 m
     check_nominal(far, rough, ANTENNA, marker=98)

@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -83,7 +82,7 @@ NEAR = TRUTH.moved([0.01, -0.01, 0.01, 0.01, 0.01, -0.01])
 
 
 @pytest.mark.parametrize("edges", [True, False])
-def test_boards_are_found_and_the_sigmas_are_consistent(edges: bool) -> None:
+def test_boards_are_found_and_the_sigmas_are_consistent(edges):
     squares, n = [], 4
     for seed in range(n):
         settings, start = (PLAIN, NOMINAL) if seed == 0 else (NO_SEARCH, NEAR)
@@ -100,7 +99,7 @@ def test_boards_are_found_and_the_sigmas_are_consistent(edges: bool) -> None:
     assert low * 0.9 < np.mean(squares) / 6 < high * 1.1
 
 
-def test_edges_tell_what_planes_do_not() -> None:
+def test_edges_tell_what_planes_do_not():
     with_edges = calibrate_board(poses(3), NEAR, BEAM, NO_SEARCH).T_ccs_scs
     without = calibrate_board(poses(3, edges=False), NEAR, BEAM, NO_SEARCH).T_ccs_scs
     # six degrees of freedom: 0.7 is 6 % of each sigma
@@ -110,7 +109,7 @@ def test_edges_tell_what_planes_do_not() -> None:
 # ---------------------------------------------------------------- what is refused
 
 
-def test_too_few_poses_are_named() -> None:
+def test_too_few_poses_are_named():
     with pytest.raises(UnobservableError, match=r"with 2 poses of the board \(pose0, pose1\)"):
         calibrate_board(poses(0, TILTS_DEG[:2]), NOMINAL, BEAM)
 
@@ -120,7 +119,7 @@ def test_too_few_poses_are_named() -> None:
     [((20, 0), (20, 1), (21, 0)), ((0, 0), (20, 0), (-20, 0), (30, 0))],
     ids=["the same way", "one axis"],
 )
-def test_boards_seen_alike_are_named_with_what_is_missing(tilts: tuple[tuple[float, float], ...]) -> None:
+def test_boards_seen_alike_are_named_with_what_is_missing(tilts):
     with pytest.raises(UnobservableError, match="the observations do not determine a shift along") as caught:
         calibrate_board(poses(0, tilts), NOMINAL, BEAM)
     text = str(caught.value)
@@ -130,7 +129,7 @@ def test_boards_seen_alike_are_named_with_what_is_missing(tilts: tuple[tuple[flo
         assert "a shift along (0.99" in text or "a shift along (-0.99" in text
 
 
-def test_a_pose_that_the_lidar_does_not_see_is_left_out_and_named() -> None:
+def test_a_pose_that_the_lidar_does_not_see_is_left_out_and_named():
     given = poses(1)
     given[2] = replace(given[2], points_scs_m=given[2].points_scs_m * 1.5)
     found = calibrate_board(given, NOMINAL, BEAM, PLAIN)
@@ -159,7 +158,7 @@ def picture(T: Rigid, camera: Camera) -> np.ndarray:
     return cv2.GaussianBlur(fine.reshape(h, w).astype(np.uint8), (0, 0), 0.7)
 
 
-def test_corners_and_pose_of_a_drawn_board() -> None:
+def test_corners_and_pose_of_a_drawn_board():
     camera = Camera(
         model="fisheye", size_px=(640, 480), parameters=np.array([400.0, 400, 320, 240, -0.05, 0.01, 0, 0])
     )
@@ -174,12 +173,12 @@ def test_corners_and_pose_of_a_drawn_board() -> None:
     assert seen.T_ccs_board.sigma_shift_m.max() < 0.002
 
 
-def test_a_picture_without_a_board_is_told() -> None:
+def test_a_picture_without_a_board_is_told():
     with pytest.raises(GeometryError, match="pose7: no checkerboard of 7 x 5 inner corners"):
         find_corners(np.full((120, 160), 128, np.uint8), BOARD, where="pose7")
 
 
-def test_wrong_squares_and_files_are_told(tmp_path: Path) -> None:
+def test_wrong_squares_and_files_are_told(tmp_path):
     with pytest.raises(GeometryError, match="3 x 3"):
         Checkerboard(columns=2, rows=5, square_m=0.1, width_m=1.0, height_m=1.0)
     with pytest.raises(GeometryError, match="at least as large"):
@@ -198,7 +197,7 @@ def test_wrong_squares_and_files_are_told(tmp_path: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def acfr(data_dir: Path) -> Path:
+def acfr(data_dir):
     folder = data_dir / "acfr_vlp16_camera" / "data" / "vlp"
     if not (folder / "poses.csv").is_file():
         pytest.skip(f"no board recordings at {folder}: see the list of recordings in THALWEG_DATA")
@@ -234,7 +233,7 @@ def judge(found: Rigid, folder: Path) -> dict[str, float]:
 
 
 @pytest.mark.real
-def test_real_boards_from_pictures_and_scans(acfr: Path, record_property: Any) -> None:
+def test_real_boards_from_pictures_and_scans(acfr, record_property):
     """Seven pictures and whole scans, from axes that are 8 degrees and 20 cm off; nothing cropped by hand."""
     k = [1176.93, 1177.72, 962.275 + 0.5, 612.725 + 0.5, -0.0540096, -0.0784275, 0.0959641, -0.0515253]
     camera = Camera(model="fisheye", size_px=(1920, 1208), parameters=np.array(k))

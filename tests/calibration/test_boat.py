@@ -1,7 +1,6 @@
 """All sensors in one calibration: places, joint covariance against drawn errors, files."""
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,7 +16,6 @@ from thalweg.calibration.ins_lidar import (
     calibrate,
     read_mount_result,
 )
-from thalweg.calibration.ins_lidar.adjustment import InsLidar
 from thalweg.calibration.ins_lidar.antenna import antenna_lever, phase_centre
 from thalweg.calibration.ins_lidar.file import write_mount_result, write_tables
 from thalweg.core import ArrayF, GeometryError, InputError, Rigid
@@ -56,14 +54,14 @@ def boat(lidar: Lidar, **changes: object) -> Calibration:
 
 
 @pytest.fixture
-def lidar(rng: np.random.Generator) -> Lidar:
+def lidar(rng):
     """A mount that depends on the antenna: the part by it is in the covariance."""
     gain = np.vstack([-MOUNT.R, 0.01 * rng.normal(size=(3, 3))])
     cov = gain @ seen_antenna().cov_scs_m2 @ gain.T + np.diag([1e-8] * 3 + [6e-7] * 3)
     return Lidar(MOUNT.with_cov(cov), gain)
 
 
-def test_the_joint_covariance_is_that_of_drawn_errors(lidar: Lidar, rng: np.random.Generator) -> None:
+def test_the_joint_covariance_is_that_of_drawn_errors(lidar, rng):
     found = boat(lidar)
     assert [block.name for block in found.blocks] == ["lidar", "camera", "antenna", "echo_sounder"]
     drawn = []
@@ -101,7 +99,7 @@ def test_the_joint_covariance_is_that_of_drawn_errors(lidar: Lidar, rng: np.rand
     assert np.abs(found.correlation()[3:6, 9:12]).max() > 0.3
 
 
-def test_places_are_those_of_the_frames(lidar: Lidar) -> None:
+def test_places_are_those_of_the_frames(lidar):
     found = boat(lidar)
     point = np.array([[3.0, -2.0, 1.0]])
     assert found.pose("camera").apply(RELATIVE.apply(point)) == pytest.approx(MOUNT.apply(point))
@@ -112,7 +110,7 @@ def test_places_are_those_of_the_frames(lidar: Lidar) -> None:
 
 
 @pytest.mark.parametrize(("origin", "shared"), [("antenna", False), ("lidar", True), ("ics", False)])
-def test_a_ruler_held_to_the_lidar_shares_its_errors(lidar: Lidar, origin: str, shared: bool) -> None:
+def test_a_ruler_held_to_the_lidar_shares_its_errors(lidar, origin, shared):
     place = EchoPlace(
         lever_m=RULED,
         cov_m2=np.diag([1e-6] * 3),
@@ -126,7 +124,7 @@ def test_a_ruler_held_to_the_lidar_shares_its_errors(lidar: Lidar, origin: str, 
     assert cov[0, 1] == pytest.approx(cov[0, 0] if shared else 0.0)
 
 
-def test_an_echo_sounder_measured_from_the_ins_has_the_error_of_the_antennas_ruler(lidar: Lidar) -> None:
+def test_an_echo_sounder_measured_from_the_ins_has_the_error_of_the_antennas_ruler(lidar):
     """The antenna is without error by definition: its ruler's error is that of the other lever arms."""
     place = EchoPlace.ruled_from_ins(
         (0.2, 0.0, 0.3), sigma_lever_m=(0.005, 0.005, 0.003), sigma_antenna_m=(0.012, 0.0, 0.004)
@@ -138,18 +136,18 @@ def test_an_echo_sounder_measured_from_the_ins_has_the_error_of_the_antennas_rul
     assert np.sqrt(np.diag(cov)) == pytest.approx([0.013, 0.005, 0.005])
 
 
-def test_a_boat_without_camera_and_echo_sounder(lidar: Lidar) -> None:
+def test_a_boat_without_camera_and_echo_sounder(lidar):
     found = boat(lidar, T_ccs_scs=None, echo_sounder=None)
     assert [block.name for block in found.blocks] == ["lidar", "antenna"]
 
 
-def test_an_antenna_that_is_not_given_is_missed(lidar: Lidar) -> None:
+def test_an_antenna_that_is_not_given_is_missed(lidar):
     with pytest.raises(GeometryError, match=r"used the antenna's marker"):
         boat(lidar, antenna=None)
 
 
 @pytest.fixture(scope="module")
-def run_result() -> InsLidar:
+def run_result():
     spec = RunSpec(duration_s=40.0, points=40_000)
     run = make_run(1, spec)
     errors = PoseErrors(
@@ -166,7 +164,7 @@ def run_result() -> InsLidar:
     )
 
 
-def test_results_survive_their_files(run_result: InsLidar, tmp_path: Path) -> None:
+def test_results_survive_their_files(run_result, tmp_path):
     antenna = seen_antenna()
     write_mount_result(tmp_path / "mount.json", run_result, antenna, LEVER_ANTENNA_M)
     back = read_mount_result(tmp_path / "mount.json")
@@ -184,7 +182,7 @@ def test_results_survive_their_files(run_result: InsLidar, tmp_path: Path) -> No
     assert all(path.stat().st_size > 500 for path in paths.values())
 
 
-def test_another_file_is_no_mount(tmp_path: Path) -> None:
+def test_another_file_is_no_mount(tmp_path):
     (tmp_path / "a.json").write_text('{"kind": "boat"}')
     with pytest.raises(InputError, match=r"a\.json: no lidar mount"):
         read_mount_result(tmp_path / "a.json")

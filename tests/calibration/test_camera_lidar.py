@@ -37,7 +37,7 @@ def square(result: CameraLidar, truth: Rigid) -> float:
 
 
 @pytest.fixture(scope="module")
-def good() -> tuple[object, CameraLidar]:
+def good():
     y = Yard(seed=3)
     return y, calibrated(y)
 
@@ -48,7 +48,7 @@ LIKELY = 22.5
 # ---------------------------------------------------------------- results
 
 
-def test_three_positions(good: tuple[object, CameraLidar]) -> None:
+def test_three_positions(good):
     y, result = good
     assert square(result, y.truth) < LIKELY
     assert list(result.cones) == SEEN
@@ -61,7 +61,7 @@ def test_three_positions(good: tuple[object, CameraLidar]) -> None:
     assert 0.9 < np.sqrt(result.variance_factor) < 1.1
 
 
-def test_nothing_is_silently_lost(good: tuple[object, CameraLidar]) -> None:
+def test_nothing_is_silently_lost(good):
     _, result = good
     table = result.detection
     assert len(table) == 3 * 8
@@ -81,7 +81,7 @@ def test_nothing_is_silently_lost(good: tuple[object, CameraLidar]) -> None:
     assert len(result.references) == 8 * 32
 
 
-def test_tables_for_people(good: tuple[object, CameraLidar]) -> None:
+def test_tables_for_people(good):
     y, result = good
     facts = report(result, NOMINAL)
     assert facts["unknowns"] == 60
@@ -96,7 +96,7 @@ def test_tables_for_people(good: tuple[object, CameraLidar]) -> None:
     assert np.linalg.norm(apart) == pytest.approx(np.linalg.norm(result.T_ccs_scs.shift_m))
 
 
-def test_no_mean_residual_stays_on_curved_surfaces() -> None:
+def test_no_mean_residual_stays_on_curved_surfaces():
     """Sixty revolutions, sharp marks: means to 0.2 mm, where ranges on a cone are 0.6 mm too long.
 
     From three sides: the six unknowns of the orientation could take up the means of one.
@@ -111,7 +111,7 @@ def test_no_mean_residual_stays_on_curved_surfaces() -> None:
     assert np.mean((table["mean_mm"] / table["sigma_mean_mm"]) ** 2) < chi2.ppf(0.999, 18) / 18
 
 
-def test_the_lidar_itself_in_the_field() -> None:
+def test_the_lidar_itself_in_the_field():
     """P1 2.3: five for each cone and six for the exterior orientation of the lidar."""
     y = Yard(seed=6)
     flat = [replace(c, half=np.deg2rad(25.0)) for c in y.cones]
@@ -125,7 +125,7 @@ def test_the_lidar_itself_in_the_field() -> None:
     assert square(result, camera @ y.truth) < LIKELY
 
 
-def test_errors_that_poses_and_points_share_enter_with_their_signs() -> None:
+def test_errors_that_poses_and_points_share_enter_with_their_signs():
     """A network that is bent moves poses and cones together: residuals at the truth, drawn from its
     covariance."""
     y = Yard(seed=5, frames=1)
@@ -163,7 +163,7 @@ def test_errors_that_poses_and_points_share_enter_with_their_signs() -> None:
 # ---------------------------------------------------------------- nominal mounts and the search
 
 
-def test_the_search_bears_decimetres_and_degrees() -> None:
+def test_the_search_bears_decimetres_and_degrees():
     y = Yard(seed=1, frames=1)
     rng = np.random.default_rng([8, 1])
     # two sigmas of the range at most
@@ -185,7 +185,7 @@ def test_the_search_bears_decimetres_and_degrees() -> None:
 
 
 @pytest.mark.parametrize("which", [[0], [0, 6, 7]], ids=["one cone", "one that is seen"])
-def test_a_single_cone_is_refused(which: list[int]) -> None:
+def test_a_single_cone_is_refused(which):
     y = Yard(seed=4, frames=2)
     settings = CameraLidarSettings(within=SearchRange(tries=500))
     with pytest.raises(UnobservableError, match=r"do not determine .*rotation") as caught:
@@ -195,7 +195,7 @@ def test_a_single_cone_is_refused(which: list[int]) -> None:
     assert any(p.startswith("rotation") for p in caught.value.parameters)
 
 
-def test_one_cone_from_two_orientations_is_enough() -> None:
+def test_one_cone_from_two_orientations_is_enough():
     y = Yard(seed=4, frames=2)
     result = calibrate_camera_lidar(y.references()[:1], y.positions(2), NOMINAL)
     assert square(result, y.truth) < LIKELY
@@ -204,7 +204,7 @@ def test_one_cone_from_two_orientations_is_enough() -> None:
 @pytest.mark.parametrize(
     ("points", "message"), [(np.zeros((0, 3)), r"shape \(0, 3\)"), (np.full((2, 3), np.nan), "not finite")]
 )
-def test_empty_scans_are_refused(points: np.ndarray, message: str) -> None:
+def test_empty_scans_are_refused(points, message):
     pose = Rigid(R=np.eye(3), shift_m=np.zeros(3))
     with pytest.raises(InputError, match=message):
         Position.measured(
@@ -215,7 +215,7 @@ def test_empty_scans_are_refused(points: np.ndarray, message: str) -> None:
         )
 
 
-def test_residuals_of_a_cone_by_hand() -> None:
+def test_residuals_of_a_cone_by_hand():
     """Ranges off by 5, -15, 5, -15 mm, cosine 0.8; 20 mm along the beam are 16 mm from the cone."""
     layout = SimpleNamespace(positions=["P1"], cones=["C1", "C2"])
     scan = SimpleNamespace(cone=np.zeros(4, int), variance_m2=np.full(4, 0.02**2))

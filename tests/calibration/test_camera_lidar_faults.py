@@ -43,7 +43,7 @@ def known(y, positions: int = 3, **settings) -> CameraLidar:
     return calibrate_camera_lidar(y.references(), y.positions(positions), start, given)
 
 
-def test_wrong_marks_and_people_do_not_shift_the_result() -> None:
+def test_wrong_marks_and_people_do_not_shift_the_result():
     squares = []
     for seed, adjusted in ((0, calibrated), (1, known)):  # people may lead the search astray, too
         y = Yard(seed=300 + seed, frames=2, people=3, wrong_marks=0.05)
@@ -56,7 +56,7 @@ def test_wrong_marks_and_people_do_not_shift_the_result() -> None:
     assert sum(squares) < chi2.ppf(0.999, 12)
 
 
-def test_who_stands_in_front_of_a_cone_is_told() -> None:
+def test_who_stands_in_front_of_a_cone_is_told():
     y = Yard(seed=1, frames=2, people=6)
     table = known(y).detection
     hidden = table[~table["found"] & (table["predicted"] > 0)]
@@ -75,7 +75,7 @@ def changed(y, name: str, shift=(0.0, 0.0, 0.0), tilt_deg: float = 0.0):
     [((0.02, 0.0, 0.0), 0.0), ((0.0, 0.0, 0.0), 12.0), ((0.0, 0.0, 0.0), 60.0)],
     ids=["pushed by 2 cm", "leaning", "fallen"],
 )
-def test_a_cone_that_moved_is_named_and_left_out(shift: tuple[float, float, float], tilt_deg: float) -> None:
+def test_a_cone_that_moved_is_named_and_left_out(shift, tilt_deg):
     y = changed(Yard(seed=4, frames=2), "C5", shift, tilt_deg)
     # a lean of 12 degrees shows from three positions
     result = known(y, 3 if tilt_deg == 12.0 else 2)
@@ -101,7 +101,7 @@ def named(positions: list[Position]) -> list[Position]:
 
 
 @pytest.mark.parametrize("order", [[2, 1, 0], [1, 0]], ids=["1 and 3", "two positions"])
-def test_scans_of_other_positions_are_refused(order: list[int]) -> None:
+def test_scans_of_other_positions_are_refused(order):
     y = Yard(seed=4, frames=1)
     mixed = named(swapped(y.positions(len(order)), order))
     with pytest.raises(GeometryError) as caught:
@@ -111,7 +111,7 @@ def test_scans_of_other_positions_are_refused(order: list[int]) -> None:
     assert "each scan has the name of its own picture" in caught.value.cure
 
 
-def test_a_position_that_fits_nothing_is_left_out_as_a_whole() -> None:
+def test_a_position_that_fits_nothing_is_left_out_as_a_whole():
     """The boat was turned by 8 degrees between picture and scan of position 3."""
     y = Yard(seed=4, frames=1)
     *good, last = y.positions(3)
@@ -127,7 +127,7 @@ def test_a_position_that_fits_nothing_is_left_out_as_a_whole() -> None:
     assert square(result, y.truth) < LIKELY
 
 
-def test_a_cone_that_fell_toward_the_boat_is_not_only_hidden() -> None:
+def test_a_cone_that_fell_toward_the_boat_is_not_only_hidden():
     y = Yard(seed=4, frames=2)
     toward = [c.moved(np.array([0.9, 0.0, 0.0]), 0.0) if c.name == "C2" else c for c in y.cones]
     (line,) = known(replace(y, there=toward), 1).detection.query("cone == 'C2'").to_dict("records")
@@ -135,9 +135,7 @@ def test_a_cone_that_fell_toward_the_boat_is_not_only_hidden() -> None:
     assert "by the cone itself, fallen toward the boat. Clear the view or set it up" in line["reason"]
 
 
-def test_a_cone_that_leaves_the_adjustment_without_a_solution_is_named(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_cone_that_leaves_the_adjustment_without_a_solution_is_named(monkeypatch):
     """C2 stands 10 cm nearer; the cone with its points does not settle."""
     y = changed(Yard(seed=4, frames=2), "C2", (0.1, 0.0, 0.0))
     real, calls = camera_lidar.adjust, []
@@ -157,7 +155,7 @@ def test_a_cone_that_leaves_the_adjustment_without_a_solution_is_named(
     assert square(result, y.truth) < LIKELY
 
 
-def test_cones_of_another_opening_angle_are_told_as_such() -> None:
+def test_cones_of_another_opening_angle_are_told_as_such():
     references = [replace(r, half_angle_rad=np.deg2rad(50.0)) for r in Yard(seed=4).references()[5:]]
     with pytest.raises(GeometryError, match=r"3 of 3 cones cannot be used: cone C6: .*half angle"):
         calibrate_camera_lidar(references, Yard(seed=4, frames=1).positions(1), NOMINAL)
@@ -170,7 +168,7 @@ def test_cones_of_another_opening_angle_are_told_as_such() -> None:
     assert "half angle" in line["reason"]
 
 
-def test_a_missing_cone_is_named() -> None:
+def test_a_missing_cone_is_named():
     y = Yard(seed=4, frames=2)
     y = replace(y, there=[c for c in y.cones if c.name != "C2"])
     table = known(y, 1).detection.set_index(["position", "cone"])
@@ -178,7 +176,7 @@ def test_a_missing_cone_is_named() -> None:
     assert "went through its place; it fell over or was moved" in reason
 
 
-def test_a_cone_without_reference_is_named() -> None:
+def test_a_cone_without_reference_is_named():
     y = Yard(seed=4, frames=2)
     references = y.references()
     references[2] = replace(

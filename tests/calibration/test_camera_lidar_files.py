@@ -33,7 +33,7 @@ Text = Callable[[list[int], list[int]], str]
 
 
 @pytest.fixture
-def description(field_text: Text) -> str:
+def description(field_text):
     """A field with the markers 0 to 3 and 4 to 7 on its cones."""
     return field_text([0, 3], [4, 7])
 
@@ -48,7 +48,7 @@ def known(rng: np.random.Generator) -> FieldPoints:
 # ---------------------------------------------------------------- reading
 
 
-def test_marks_come_to_their_cones(rng: np.random.Generator, description: str) -> None:
+def test_marks_come_to_their_cones(rng, description):
     points = known(rng)
     first, second = given.cone_references(parse_field(description), points)
     assert (first.name, first.labels) == ("C1", ("0/0", "0/1", "0/2", "0/3"))
@@ -63,7 +63,7 @@ def test_marks_come_to_their_cones(rng: np.random.Generator, description: str) -
         given.cone_references(parse_field("\n".join(rows[:3] + rows[6:])), points)
 
 
-def test_positions_share_errors_of_field_and_camera(rng: np.random.Generator, description: str) -> None:
+def test_positions_share_errors_of_field_and_camera(rng, description):
     """The joint covariance is that of the linear map from independent errors."""
     points, camera_cov = known(rng), np.diag(np.arange(1.0, 10.0))
     camera = Camera(
@@ -115,7 +115,7 @@ def touched(folder: Path, *names: str) -> list[Path]:
     return [folder / name for name in names]
 
 
-def test_scans_meet_their_pictures(tmp_path: Path) -> None:
+def test_scans_meet_their_pictures(tmp_path):
     touched(tmp_path, "a.pcap", "b.pcap", "notes.txt")
     by_name = given.static_positions([tmp_path], ["b.jpg", "a.jpg"])
     assert by_name.pairs["a"] == (tmp_path / "a.pcap", "a.jpg")
@@ -129,7 +129,7 @@ def test_scans_meet_their_pictures(tmp_path: Path) -> None:
         given.static_positions([tmp_path / "notes.txt"], ["a.jpg"])
 
 
-def test_pictures_without_a_scan_are_named(tmp_path: Path) -> None:
+def test_pictures_without_a_scan_are_named(tmp_path):
     scans = touched(tmp_path, "a.pcap", "b.pcap")
     found = given.static_positions(scans, ["a.jpg", "b.jpg", "c.jpg"])
     assert list(found.pairs) == ["a", "b"]
@@ -141,7 +141,7 @@ def test_pictures_without_a_scan_are_named(tmp_path: Path) -> None:
         given.static_positions(scans, ["x", "y", "z"])
 
 
-def test_two_of_one_name_are_refused(tmp_path: Path) -> None:
+def test_two_of_one_name_are_refused(tmp_path):
     scans = touched(tmp_path, "one/a.pcap", "two/a.pcap")
     with pytest.raises(InputError, match=r"lidar recordings .* same name: a\.pcap, a\.pcap"):
         given.static_positions(scans, ["a.jpg"])
@@ -149,7 +149,7 @@ def test_two_of_one_name_are_refused(tmp_path: Path) -> None:
         given.static_positions(scans[:1], ["a.jpg", "a.png"])
 
 
-def test_positions_without_a_pose_are_named(tmp_path: Path) -> None:
+def test_positions_without_a_pose_are_named(tmp_path):
     scans = touched(tmp_path, "a.pcap", "b.pcap")
     statics = Statics(
         images=("a.jpg",),
@@ -168,7 +168,7 @@ def test_positions_without_a_pose_are_named(tmp_path: Path) -> None:
         given.oriented(given.static_positions(scans[1:], ["b.jpg"]), statics)
 
 
-def test_scans_and_pictures_of_other_names_are_matched_as_people_count(tmp_path: Path) -> None:
+def test_scans_and_pictures_of_other_names_are_matched_as_people_count(tmp_path):
     scans, shots = (
         touched(tmp_path, f"{kind}_2.{end}", f"{kind}_10.{end}")
         for kind, end in (("scan", "pcap"), ("shot", "jpg"))
@@ -181,13 +181,13 @@ def test_scans_and_pictures_of_other_names_are_matched_as_people_count(tmp_path:
         }
 
 
-def test_pictures_of_positions_in_folders_and_lists(tmp_path: Path) -> None:
+def test_pictures_of_positions_in_folders_and_lists(tmp_path):
     files = touched(tmp_path, "2021.05.12/p2.jpg", "2021.05.12/p1.jpg", "other/p3.jpg")
     assert given.static_images([tmp_path / "2021.05.12"]) == ["p1.jpg", "p2.jpg"]
     assert given.static_images([files[0], files[1], files[0]]) == ["p2.jpg", "p1.jpg"]
 
 
-def test_nominal_orientation_of_mounts() -> None:
+def test_nominal_orientation_of_mounts():
     mounts = {
         "lidar": {"omega_deg": 0, "phi_deg": -90, "kappa_deg": 0, "lever_ics_m": [-0.35, 0, -0.25]},
         "camera": {"omega_deg": 90, "phi_deg": 0, "kappa_deg": 0, "lever_ics_m": [-0.25, -0.1, -0.18]},
@@ -200,7 +200,7 @@ def test_nominal_orientation_of_mounts() -> None:
     np.testing.assert_allclose(T.shift_m, [-0.1, -0.07, -0.1], atol=1e-12)
 
 
-def test_settings_from_a_campaign() -> None:
+def test_settings_from_a_campaign():
     section = CameraLidarFit(
         free_half_angle=False, max_incidence_deg=60.0, search_shift_m=0.2, search_angle_deg=4.0
     )
@@ -214,7 +214,7 @@ def test_settings_from_a_campaign() -> None:
 # ---------------------------------------------------------------- writing
 
 
-def test_everything_is_written(tmp_path: Path) -> None:
+def test_everything_is_written(tmp_path):
     y = yard.Yard(seed=3, frames=2)
     references = y.references()
     settings = CameraLidarSettings(within=None)
@@ -254,7 +254,7 @@ def labelled(seed: int = 1) -> list[ConeReference]:
     ]
 
 
-def test_markers_beside_their_cones_are_named() -> None:
+def test_markers_beside_their_cones_are_named():
     """Marker 3 of C1 and marker 10 of C2 exchanged, marker 5 of C1 moved."""
     references = labelled()
     table = reference_table(references, {r.name: fit_reference(r) for r in references}, {})
@@ -272,7 +272,7 @@ def test_markers_beside_their_cones_are_named() -> None:
     assert all("mm off its surface" in line for line in lines)
 
 
-def test_the_study_of_the_design_keeps_a_fixed_half_angle(tmp_path: Path) -> None:
+def test_the_study_of_the_design_keeps_a_fixed_half_angle(tmp_path):
     y = yard.Yard(seed=3, frames=2, cones=[replace(c, half=np.deg2rad(25.0)) for c in yard.built_cones()])
     y = replace(y, there=y.cones)
     sigmas = []
@@ -290,13 +290,13 @@ def test_the_study_of_the_design_keeps_a_fixed_half_angle(tmp_path: Path) -> Non
 # ---------------------------------------------------------------- boards
 
 
-def test_a_board_calibration_is_a_calibration(tmp_path: Path) -> None:
+def test_a_board_calibration_is_a_calibration(tmp_path):
     T = Rigid(R=np.eye(3), shift_m=np.ones(3), cov=1e-6 * np.eye(6))
     write_calibration(tmp_path / "b.yaml", board_calibration(T, "garage", observations=7))
     assert read_calibration(tmp_path / "b.yaml").pose("camera_lidar").sigma_shift_m[0] == pytest.approx(1e-3)
 
 
-def test_pictures_and_scans_of_boards_go_together(tmp_path: Path) -> None:
+def test_pictures_and_scans_of_boards_go_together(tmp_path):
     import cv2
 
     board = Checkerboard(columns=7, rows=5, square_m=0.095, width_m=0.85, height_m=0.61)
@@ -315,7 +315,7 @@ def test_pictures_and_scans_of_boards_go_together(tmp_path: Path) -> None:
     assert ring is None
 
 
-def test_lost_pictures_stand_in_the_table() -> None:
+def test_lost_pictures_stand_in_the_table():
     class Result:
         table = pd.DataFrame({"pose": ["a"], "used": [True], "reason": [""]})
 

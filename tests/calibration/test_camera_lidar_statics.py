@@ -1,7 +1,6 @@
 """Poses and points of one bundle: their joint covariance is that of their errors, nothing is used twice."""
 
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -71,7 +70,7 @@ def error_of(found: Statics, run: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("run", [0, 6], ids=["static pictures alone", "with a run"])
-def test_errors_are_as_the_joint_covariance_says(run: int) -> None:
+def test_errors_are_as_the_joint_covariance_says(run):
     """Also where poses and points hang together, and for points that no picture shows."""
     squares, poses = [], []
     for seed in range(3 if run else 5):
@@ -86,7 +85,7 @@ def test_errors_are_as_the_joint_covariance_says(run: int) -> None:
         assert 0.96 * low < np.sum(values) / (size * len(values)) < 1.04 * high
 
 
-def test_pictures_that_calibrated_the_camera_are_not_used_again() -> None:
+def test_pictures_that_calibrated_the_camera_are_not_used_again():
     """Resected one by one with the camera that they calibrated, positions look better than they are."""
     given, table = field(1), marks(0, 1)
     network = orient_on_field(table, CAMERA, given)
@@ -102,7 +101,7 @@ def test_pictures_that_calibrated_the_camera_are_not_used_again() -> None:
     assert np.mean(ratio) > 1.08
 
 
-def test_points_that_no_picture_shows_follow_the_others() -> None:
+def test_points_that_no_picture_shows_follow_the_others():
     found, given = statics(0, 2), field(2)
     seen = {(m, c) for m, c in zip(*marks(0, 2)[["marker", "corner"]].to_numpy().T, strict=True)}
     hidden = [i for i, name in enumerate(NAMES) if name not in seen]
@@ -115,7 +114,7 @@ def test_points_that_no_picture_shows_follow_the_others() -> None:
     assert found.points.points == NAMES
 
 
-def test_the_block_as_a_file(tmp_path: Path) -> None:
+def test_the_block_as_a_file(tmp_path):
     found = statics(0, 3)
     write_statics(tmp_path / "s.npz", found)
     back = read_statics(tmp_path / "s.npz")
@@ -133,7 +132,7 @@ def test_the_block_as_a_file(tmp_path: Path) -> None:
     np.testing.assert_array_equal(order[:6, 12:15], found.cov[12:18, 18 + 3 * at : 21 + 3 * at])
 
 
-def test_pictures_without_a_pose_are_told() -> None:
+def test_pictures_without_a_pose_are_told():
     table = marks(3, 4)
     few = table[(table["image"] != "p2.jpg") | (table["marker"] == table["marker"].iloc[0])]
     found = statics_of(orient_on_field(few, CAMERA, field(4)), field(4), [*STATIC, "p4.jpg"])
@@ -143,7 +142,7 @@ def test_pictures_without_a_pose_are_told() -> None:
     assert len(found.cov) == 12 + 3 * len(NAMES)
 
 
-def test_another_file_is_refused(tmp_path: Path) -> None:
+def test_another_file_is_refused(tmp_path):
     with pytest.raises(InputError, match="file not found"):
         read_statics(tmp_path / "none.npz")
     (tmp_path / "text.npz").write_text("x")

@@ -37,7 +37,7 @@ def reference(points: np.ndarray, name: str = "C1", half: float = HALF) -> ConeR
     return ConeReference(name=name, points_m=points, cov=cov, half_angle_rad=half, length_m=0.7)
 
 
-def test_cones_of_all_directions_are_found_from_nothing() -> None:
+def test_cones_of_all_directions_are_found_from_nothing():
     for seed in range(10):
         rng = np.random.default_rng([3, seed])
         true = cone_of(rng)
@@ -49,7 +49,7 @@ def test_cones_of_all_directions_are_found_from_nothing() -> None:
 
 
 @pytest.mark.parametrize("share", [0.05, 0.15])
-def test_wrong_marks_are_rejected_and_change_nothing(share: float) -> None:
+def test_wrong_marks_are_rejected_and_change_nothing(share):
     squares = []
     for seed in range(5):
         rng = np.random.default_rng([4, seed])
@@ -68,7 +68,7 @@ def test_wrong_marks_are_rejected_and_change_nothing(share: float) -> None:
     assert sum(squares) < chi2.ppf(0.9999, n)
 
 
-def test_correlated_marks_keep_their_covariance(rng: np.random.Generator) -> None:
+def test_correlated_marks_keep_their_covariance(rng):
     points = marks(cone_of(rng), rng, n=4)
     root = 1e-4 * rng.standard_normal((12, 12))
     whole = ConeReference(name="C1", points_m=points, cov=root @ root.T, half_angle_rad=HALF, length_m=0.7)
@@ -76,7 +76,7 @@ def test_correlated_marks_keep_their_covariance(rng: np.random.Generator) -> Non
     np.testing.assert_allclose(whole.sigma_m**2, largest, rtol=1e-9)
 
 
-def test_five_parameters_keep_the_half_angle(rng: np.random.Generator) -> None:
+def test_five_parameters_keep_the_half_angle(rng):
     points = marks(cone_of(rng), rng)
     fixed = fit_reference(reference(points, half=HALF + 0.003), free_half_angle=False)
     assert fixed.cone.half_angle_rad == HALF + 0.003
@@ -87,7 +87,7 @@ def parameters_off(found: Cone, true: Cone) -> np.ndarray:
     return np.r_[true.apex_m - found.apex_m, across, true.half_angle_rad - found.half_angle_rad]
 
 
-def test_derivatives_by_the_points_are_those_of_the_fit(rng: np.random.Generator) -> None:
+def test_derivatives_by_the_points_are_those_of_the_fit(rng):
     points = marks(cone_of(rng), rng)
     points[3] += 0.05
     found = fit_reference(reference(points))
@@ -100,7 +100,7 @@ def test_derivatives_by_the_points_are_those_of_the_fit(rng: np.random.Generator
     assert np.abs(found.by_points @ step.ravel() - change) / sigma == pytest.approx(np.zeros(6), abs=0.02)
 
 
-def test_a_fixed_half_angle_has_no_covariance(rng: np.random.Generator) -> None:
+def test_a_fixed_half_angle_has_no_covariance(rng):
     fixed = fit_reference(reference(marks(cone_of(rng), rng), half=HALF + 0.003), free_half_angle=False).cone
     assert np.all(fixed.cov[5] == 0)
     assert np.linalg.eigvalsh(fixed.cov[:5, :5])[0] > 0
@@ -109,19 +109,19 @@ def test_a_fixed_half_angle_has_no_covariance(rng: np.random.Generator) -> None:
 # ---------------------------------------------------------------- bad input
 
 
-def test_too_few_marks_are_told_with_the_cone(rng: np.random.Generator) -> None:
+def test_too_few_marks_are_told_with_the_cone(rng):
     with pytest.raises(GeometryError, match=r"cone C7: 5 reference points; expected at least 7"):
         fit_reference(reference(marks(cone_of(rng), rng, n=5), "C7"))
 
 
-def test_marks_of_a_ball_are_no_cone(rng: np.random.Generator) -> None:
+def test_marks_of_a_ball_are_no_cone(rng):
     ball = rng.standard_normal((32, 3))
     ball *= 0.4 / np.linalg.norm(ball, axis=1, keepdims=True)
     with pytest.raises(GeometryError, match=r"cone C3: .*marker numbers"):
         fit_reference(reference(ball, "C3"))
 
 
-def test_half_of_the_markers_of_another_cone(rng: np.random.Generator) -> None:
+def test_half_of_the_markers_of_another_cone(rng):
     points = np.concatenate([marks(cone_of(rng), rng, n=16), marks(cone_of(rng), rng, n=16)])
     with pytest.raises(GeometryError, match="cone C2"):
         fit_reference(reference(points, "C2"))
@@ -129,14 +129,14 @@ def test_half_of_the_markers_of_another_cone(rng: np.random.Generator) -> None:
 
 @pytest.mark.parametrize("free", [True, False])
 @pytest.mark.parametrize("times", [0.4, 1.3, 2.0])
-def test_a_stated_opening_angle_that_does_not_fit(rng: np.random.Generator, times: float, free: bool) -> None:
+def test_a_stated_opening_angle_that_does_not_fit(rng, times, free):
     points = marks(cone_of(rng), rng)
     with pytest.raises(GeometryError, match="half angle") as caught:
         fit_reference(reference(points, "C4", half=times * HALF), free_half_angle=free)
     assert "Check half_angle_deg of the cone" in caught.value.cure
 
 
-def test_a_fixed_angle_may_not_put_half_of_the_points_out(rng: np.random.Generator) -> None:
+def test_a_fixed_angle_may_not_put_half_of_the_points_out(rng):
     points = marks(cone_of(rng), rng, n=60)
     with pytest.raises(GeometryError, match="the opening angle does not fit"):
         fit_reference(reference(points, half=HALF + np.deg2rad(1.2)), free_half_angle=False)
@@ -155,7 +155,7 @@ TRUE = Cone(apex_m=np.array([1.0, -2.0, 0.5]), axis=np.array([0.2, 0.1, 1.0]), h
 
 
 @pytest.mark.parametrize("robust", [True, False])
-def test_steps_go_on_until_the_cone_is_met(robust: bool) -> None:
+def test_steps_go_on_until_the_cone_is_met(robust):
     """From 2 cm, 2 degrees and 1 degree off to a cone without noise; no step more is needed at the end."""
     points = ring(TRUE, [0.3, 0.5, 0.7])
     start = TRUE.moved(np.array([0.02, -0.01, 0.015, 0.03, -0.02, 0.017]))
@@ -168,7 +168,7 @@ def test_steps_go_on_until_the_cone_is_met(robust: bool) -> None:
     assert held.half_angle_rad == start.half_angle_rad
 
 
-def test_gross_points_have_no_part_in_a_robust_cone() -> None:
+def test_gross_points_have_no_part_in_a_robust_cone():
     """Three of 24 points are 20 sigmas off: beyond 4.685 sigmas their weight is zero."""
     points = ring(TRUE, [0.3, 0.5, 0.7])
     points[[2, 11, 17]] += 0.2 * TRUE.see(points[[2, 11, 17]]).normal
@@ -180,7 +180,7 @@ def test_gross_points_have_no_part_in_a_robust_cone() -> None:
     assert np.linalg.norm(plain.apex_m - TRUE.apex_m) > 0.02
 
 
-def test_the_loss_by_hand() -> None:
+def test_the_loss_by_hand():
     """Points 0, 4.685 / 2, 4.685 and 9.37 sigmas off: 0, 1 - 0.75^3, 1 and 1; weights 1, 0.75^2, 0, 0."""
     points = ring(TRUE, [0.5], n=4)
     off = 4.685 * np.array([0.0, 0.5, 1.0, 2.0])
@@ -192,7 +192,7 @@ def test_the_loss_by_hand() -> None:
     assert _weights(off, False).tolist() == [1.0] * 4
 
 
-def test_points_of_a_plane_do_not_open_a_cone_to_a_disc() -> None:
+def test_points_of_a_plane_do_not_open_a_cone_to_a_disc():
     """A disc is the limit of 90 degrees: steps stop before 1.5 rad, and a needle's before 0.01 rad."""
     flat = Cone(apex_m=np.zeros(3), axis=np.array([0.0, 0.0, 1.0]), half_angle_rad=1.45)
     disc = ring(flat, [0.3, 0.5, 0.7]) * [1.0, 1.0, 0.0]
@@ -203,7 +203,7 @@ def test_points_of_a_plane_do_not_open_a_cone_to_a_disc() -> None:
     assert 0.01 < refine(thin, line, np.full(24, 0.01), free_half_angle=True).half_angle_rad <= 0.02
 
 
-def test_errors_of_points_and_of_the_form_by_hand() -> None:
+def test_errors_of_points_and_of_the_form_by_hand():
     """One parameter from two points: by 2 along x of the first and by 3 along y of the second."""
     by_points = np.array([[2.0, 0.0, 0.0, 0.0, 3.0, 0.0]])
     own = np.diag([1e-6, 5.0, 5.0, 5.0, 4e-6, 5.0])
@@ -214,7 +214,7 @@ def test_errors_of_points_and_of_the_form_by_hand() -> None:
     assert parameter_cov(by_points, own, 1e-3)[0, 0] == pytest.approx(40e-6 + 13e-6)
 
 
-def test_starts_look_into_all_directions() -> None:
+def test_starts_look_into_all_directions():
     """40 directions: heights in equal steps, each a golden angle further."""
     d = _directions(40)
     np.testing.assert_allclose(np.linalg.norm(d, axis=1), 1.0)
@@ -224,7 +224,7 @@ def test_starts_look_into_all_directions() -> None:
     np.testing.assert_allclose(d.mean(axis=0), 0.0, atol=0.02)
 
 
-def test_points_that_are_known_worse_move_the_cone_less(rng: np.random.Generator) -> None:
+def test_points_that_are_known_worse_move_the_cone_less(rng):
     """Every other point has three times the sigma; one point is not used. By differences of the fit."""
     points = ring(TRUE, [0.3, 0.5, 0.7])
     sigma = np.where(np.arange(len(points)) % 2, 0.03, 0.01)

@@ -31,7 +31,7 @@ def selected(change=lambda r, d: r, **limits) -> tuple[Selection, np.ndarray, np
     return select([CONE], [LENGTH_M], HERE, scan, SelectionLimits(**limits)), d, on
 
 
-def test_all_beams_that_meet_the_cone_have_a_verdict() -> None:
+def test_all_beams_that_meet_the_cone_have_a_verdict():
     found, d, on = selected()
     np.testing.assert_array_equal(found.cone >= 0, on)
     np.testing.assert_array_equal(found.verdict != Verdict.AWAY, on)
@@ -47,7 +47,7 @@ def test_all_beams_that_meet_the_cone_have_a_verdict() -> None:
     assert 3 * SIGMA_M <= end < 6 * SIGMA_M
 
 
-def test_margins_follow_the_noise_not_the_measured_points(rng: np.random.Generator) -> None:
+def test_margins_follow_the_noise_not_the_measured_points(rng):
     plain, _, _ = selected()
     noisy, _, _ = selected(lambda r, d: r + SIGMA_M * rng.standard_normal(len(r)))
     nominal = [Verdict.GRAZING, Verdict.OUTLINE, Verdict.END]
@@ -56,7 +56,7 @@ def test_margins_follow_the_noise_not_the_measured_points(rng: np.random.Generat
     assert set(wide.rows(0)) < set(plain.rows(0))
 
 
-def test_points_before_and_behind_are_told_apart() -> None:
+def test_points_before_and_behind_are_told_apart():
     far, _, _ = selected(lambda r, d: np.full(len(r), 9.0))
     assert far.counts(0)[Verdict.USED] == 0
     assert far.counts(0)[Verdict.BEHIND] > 1000
@@ -64,7 +64,7 @@ def test_points_before_and_behind_are_told_apart() -> None:
     assert near.counts(0)[Verdict.IN_FRONT] == far.counts(0)[Verdict.BEHIND]
 
 
-def test_beams_beside_an_obstacle_are_left_out() -> None:
+def test_beams_beside_an_obstacle_are_left_out():
     """Those that err toward it are missing, so the mean of the others is biased."""
 
     def post(r: np.ndarray, d: np.ndarray) -> np.ndarray:
@@ -82,7 +82,7 @@ def test_beams_beside_an_obstacle_are_left_out() -> None:
     assert aside[found.rows(0)].min() > 0.05 + 0.03 - 0.0125
 
 
-def test_slack_lets_a_cone_be_roughly_known() -> None:
+def test_slack_lets_a_cone_be_roughly_known():
     def moved(r: np.ndarray, d: np.ndarray) -> np.ndarray:
         return r + 0.06
 
@@ -92,7 +92,7 @@ def test_slack_lets_a_cone_be_roughly_known() -> None:
     assert len(selected(moved, slack_m=0.05)[0].rows(0)) == whole
 
 
-def test_the_nearer_of_two_cones_is_met() -> None:
+def test_the_nearer_of_two_cones_is_met():
     behind = Cone(
         apex_m=CONE.apex_m + np.array([0, 1.5, 0]), axis=CONE.axis, half_angle_rad=CONE.half_angle_rad
     )
@@ -107,7 +107,7 @@ def test_the_nearer_of_two_cones_is_met() -> None:
 
 
 @pytest.mark.parametrize("factor", [0.25, 4.0])
-def test_the_variance_factor_scales_all_margins(factor: float) -> None:
+def test_the_variance_factor_scales_all_margins(factor):
     d = beams()
     met = CONE.meet(np.zeros(3), d)
     r = np.where(met.hit, met.range_m, 9.0)

@@ -28,7 +28,7 @@ def beams_at(cone: Cone, origin: ArrayF, n: int, rng: np.random.Generator, wide:
 # ---------------------------------------------------------------- distances
 
 
-def test_distance_is_that_to_the_nearest_straight_line(rng: np.random.Generator) -> None:
+def test_distance_is_that_to_the_nearest_straight_line(rng):
     cone = some_cone()
     points = cone.apex_m + np.outer(np.linspace(0.3, 0.7, 20), cone.axis) + 0.1 * rng.standard_normal((20, 3))
     seen = cone.see(points)
@@ -48,7 +48,7 @@ def test_distance_is_that_to_the_nearest_straight_line(rng: np.random.Generator)
 
 
 @pytest.mark.parametrize("axis", [(0.5, -0.8, 0.2), (0, 0, 1), (0, 0, -1), (1e-9, 0, 1), (1, 0, 0)])
-def test_derivatives_of_all_parameters(rng: np.random.Generator, axis: tuple[float, float, float]) -> None:
+def test_derivatives_of_all_parameters(rng, axis):
     """Upright cones too, where lambda of the paper has no meaning."""
     cone = some_cone(axis)
     points = cone.apex_m + rng.standard_normal((50, 3))
@@ -66,7 +66,7 @@ def test_derivatives_of_all_parameters(rng: np.random.Generator, axis: tuple[flo
     np.testing.assert_allclose(cone.tangents @ cone.axis, 0.0, atol=1e-15)
 
 
-def test_angles_of_the_paper() -> None:
+def test_angles_of_the_paper():
     cone = some_cone((0.5, -0.8, 0.2))
     lam, theta = cone.angles_rad
     again = [np.sin(theta) * np.cos(lam), np.sin(theta) * np.sin(lam), np.cos(theta)]
@@ -74,7 +74,7 @@ def test_angles_of_the_paper() -> None:
     assert some_cone((0, 0, -1)).angles_rad == (0.0, np.pi)
 
 
-def test_a_cone_in_another_frame_keeps_its_distances_and_covariance(rng: np.random.Generator) -> None:
+def test_a_cone_in_another_frame_keeps_its_distances_and_covariance(rng):
     root = rng.standard_normal((6, 6))
     cone = Cone(apex_m=np.ones(3), axis=np.array([1.0, 2.0, 0.3]), half_angle_rad=HALF, cov=root @ root.T)
     T = Rigid(R=Rotation.random(rng=rng).as_matrix(), shift_m=rng.standard_normal(3))
@@ -89,9 +89,7 @@ def test_a_cone_in_another_frame_keeps_its_distances_and_covariance(rng: np.rand
 
 
 @pytest.mark.parametrize("axis", [(0.5, -0.8, 0.2), (0.0, 0.0, 1.0), (-0.7, 0.7, 0.1)])
-def test_beams_meet_where_another_derivation_says(
-    rng: np.random.Generator, axis: tuple[float, float, float]
-) -> None:
+def test_beams_meet_where_another_derivation_says(rng, axis):
     cone, origin = some_cone(axis), np.array([-3.0, -1.0, 1.0])
     d = beams_at(cone, origin, 400, rng)
     met = cone.meet(origin, d)
@@ -105,7 +103,7 @@ def test_beams_meet_where_another_derivation_says(
     assert np.isnan(met.range_m[~met.hit]).all()
 
 
-def test_depth_is_the_least_distance_along_the_beam(rng: np.random.Generator) -> None:
+def test_depth_is_the_least_distance_along_the_beam(rng):
     cone, origin = some_cone(), np.array([-3.0, -1.0, 1.0])
     for d in beams_at(cone, origin, 30, rng):
 
@@ -117,7 +115,7 @@ def test_depth_is_the_least_distance_along_the_beam(rng: np.random.Generator) ->
         assert cone.meet(origin, d[None]).depth_m[0] == pytest.approx(-best.fun, abs=1e-7)
 
 
-def test_the_excess_is_the_closed_form_for_small_noise(rng: np.random.Generator) -> None:
+def test_the_excess_is_the_closed_form_for_small_noise(rng):
     cone, origin = some_cone(), np.array([-3.0, -1.0, 1.0])
     d = beams_at(cone, origin, 100, rng, wide=0.05)
     met = cone.meet(origin, d)
@@ -135,7 +133,7 @@ def test_the_excess_is_the_closed_form_for_small_noise(rng: np.random.Generator)
     )
 
 
-def test_a_beam_against_the_ruling_by_hand() -> None:
+def test_a_beam_against_the_ruling_by_hand():
     """A right-angled cone upright, met level from x = 5 at 2 m: at (2, 0, 2), all angles there 45 degrees."""
     met = Cone(apex_m=np.zeros(3), axis=np.array([0.0, 0.0, 1.0]), half_angle_rad=np.pi / 4).meet(
         [[5.0, 0.0, 2.0]], [[-1.0, 0.0, 0.0]]
@@ -147,7 +145,7 @@ def test_a_beam_against_the_ruling_by_hand() -> None:
     assert met.sine_ruling[0] == pytest.approx(np.sqrt(0.5))
 
 
-def test_a_beam_along_the_normal_crosses_the_ruling_at_a_right_angle() -> None:
+def test_a_beam_along_the_normal_crosses_the_ruling_at_a_right_angle():
     """Half angle 30 degrees, 2 m along the surface: (1, 0, sqrt 3), with the normal (cos 30, 0, -sin 30)."""
     normal = np.array([np.sqrt(0.75), 0.0, -0.5])
     cone = Cone(apex_m=np.zeros(3), axis=np.array([0.0, 0.0, 1.0]), half_angle_rad=np.pi / 6)
@@ -158,7 +156,7 @@ def test_a_beam_along_the_normal_crosses_the_ruling_at_a_right_angle() -> None:
     assert met.sine_ruling[0] == pytest.approx(1.0)
 
 
-def test_tangents_of_an_axis_that_is_nearly_upright_are_unit_vectors() -> None:
+def test_tangents_of_an_axis_that_is_nearly_upright_are_unit_vectors():
     """Half a millimetre off plumb on a metre: x is then taken across, and lies 5e-4 off the level."""
     cone = Cone(apex_m=np.zeros(3), axis=np.array([5e-4, 0.0, 1.0]), half_angle_rad=0.2)
     np.testing.assert_allclose(cone.tangents @ cone.tangents.T, np.eye(2), atol=1e-15)
@@ -180,14 +178,14 @@ def test_tangents_of_an_axis_that_is_nearly_upright_are_unit_vectors() -> None:
         ((0.0, 1.0, 0.0), -np.sqrt(0.5)),
     ],
 )
-def test_how_deep_beams_go_by_hand(beam: tuple[float, float, float], depth: float) -> None:
+def test_how_deep_beams_go_by_hand(beam, depth):
     """A right-angled cone upright, beams from (3, 0.5, 2)."""
     cone = Cone(apex_m=np.zeros(3), axis=np.array([0.0, 0.0, 1.0]), half_angle_rad=np.pi / 4)
     direction = np.array([beam]) / np.linalg.norm(beam)
     assert cone.meet(np.array([3.0, 0.5, 2.0]), direction).depth_m[0] == pytest.approx(depth, rel=1e-12)
 
 
-def test_one_tangent_is_level_by_hand() -> None:
+def test_one_tangent_is_level_by_hand():
     """A quarter to the left of the axis, seen from above; the other one is up, or on from there."""
     for axis, first, second in (
         ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
@@ -200,7 +198,7 @@ def test_one_tangent_is_level_by_hand() -> None:
         np.testing.assert_allclose(some_cone(axis).tangents, [first, second], atol=1e-15)
 
 
-def test_on_the_axis_the_first_tangent_is_across() -> None:
+def test_on_the_axis_the_first_tangent_is_across():
     """2 m up the axis of a cone of 30 degrees: 1 m inside; the normal leans away from the body."""
     cone = Cone(apex_m=np.zeros(3), axis=np.array([0.0, 0.0, 1.0]), half_angle_rad=np.pi / 6)
     seen = cone.see([[0.0, 0.0, 2.0]])

@@ -11,7 +11,7 @@ from thalweg.calibration.camera_lidar.files import QUANTITIES, ScanPattern, desi
 
 
 @pytest.fixture(scope="module")
-def study() -> tuple[object, pd.DataFrame]:
+def study():
     y = yard.Yard(seed=3)
     references = y.references()
     cones = [fit_reference(r).cone for r in references]
@@ -25,7 +25,7 @@ def sigma(table: pd.DataFrame, cones: int, positions: int) -> pd.Series:
     return chosen.groupby("quantity")["sigma"].median()
 
 
-def test_the_promise_is_kept(study: tuple[object, pd.DataFrame]) -> None:
+def test_the_promise_is_kept(study):
     y, table = study
     settings = CameraLidarSettings(within=None, free_noise=False)
     found = calibrate_camera_lidar(y.references(), y.positions(2), y.truth, settings).T_ccs_scs
@@ -36,7 +36,7 @@ def test_the_promise_is_kept(study: tuple[object, pd.DataFrame]) -> None:
         assert promised[f"rotation_{axis}_deg"] == pytest.approx(np.rad2deg(turn), rel=0.12)
 
 
-def test_one_cone_from_one_position_determines_nothing(study: tuple[object, pd.DataFrame]) -> None:
+def test_one_cone_from_one_position_determines_nothing(study):
     _, table = study
     alone = table[(table["cones"] == 1) & (table["positions"] == 1)]
     assert np.isinf(alone["sigma"]).all()
@@ -46,7 +46,7 @@ def test_one_cone_from_one_position_determines_nothing(study: tuple[object, pd.D
     assert not table["choice"].str.contains("C7|C8").any()
 
 
-def test_repeated_revolutions_average_the_lidar_only() -> None:
+def test_repeated_revolutions_average_the_lidar_only():
     y = yard.Yard(seed=3, sigma_pose_m=0.0, sigma_pose_deg=0.0)
     references = y.references()[:6]
     cones = [fit_reference(r).cone for r in references]

@@ -34,7 +34,7 @@ def estimated(seed: int, spec: EchoSpec, *, away_m: float = 0.0) -> EchoSounder:
     )
 
 
-def test_consistent_over_seeds_and_formal_not() -> None:
+def test_consistent_over_seeds_and_formal_not():
     n, spec = 6, EchoSpec(reach_m=12.0, duration_s=40.0)
     consistent, formal = [], []
     for seed in range(n):
@@ -48,7 +48,7 @@ def test_consistent_over_seeds_and_formal_not() -> None:
     assert np.mean(formal) > 50
 
 
-def test_relief_and_turns_observe_all() -> None:
+def test_relief_and_turns_observe_all():
     found = estimated(1, EchoSpec(reach_m=12.0, lag_s=0.08))
     assert found.observed == ("x", "y", "z", "lag")
     # a third of the ruler's 3 cm
@@ -63,7 +63,7 @@ def test_relief_and_turns_observe_all() -> None:
     )
 
 
-def test_a_flat_bed_leaves_x_and_y_to_the_ruler() -> None:
+def test_a_flat_bed_leaves_x_and_y_to_the_ruler():
     flat = EchoSpec(reach_m=12.0, relief_m=0.0, sway=0.1)
     found = estimated(1, flat)
     # hardly any heave either: no offset in time
@@ -72,13 +72,13 @@ def test_a_flat_bed_leaves_x_and_y_to_the_ruler() -> None:
     assert np.sqrt(np.diag(found.cov_m2))[:2] == pytest.approx(SIGMA_RULER_M[:2], rel=0.03)
 
 
-def test_one_heading_on_slopes_misses_turns() -> None:
+def test_one_heading_on_slopes_misses_turns():
     found = estimated(1, EchoSpec(reach_m=12.0, turning=False, sway=0.1, duration_s=120.0))
     assert "y" in found.not_observed
     assert "turns are missing" in found.not_observed["y"]
 
 
-def test_blunders_are_rejected_and_counted() -> None:
+def test_blunders_are_rejected_and_counted():
     spec = EchoSpec(reach_m=12.0, duration_s=120.0)
     clean, dirty = estimated(3, spec), estimated(3, EchoSpec(reach_m=12.0, duration_s=120.0, blunders=0.05))
     assert clean.n_rejected < 0.005 * clean.n_used
@@ -88,12 +88,12 @@ def test_blunders_are_rejected_and_counted() -> None:
     assert np.all(shift < np.sqrt(np.diag(clean.cov_m2)))
 
 
-def test_soundings_beside_the_bed_are_refused() -> None:
+def test_soundings_beside_the_bed_are_refused():
     with pytest.raises(CoverageError, match=r"0 of \d+ soundings lie over the surveyed bed.*Survey the bed"):
         estimated(1, EchoSpec(reach_m=12.0, duration_s=30.0), away_m=500.0)
 
 
-def test_the_bed_is_its_triangles() -> None:
+def test_the_bed_is_its_triangles():
     side = np.arange(0.0, 4.1, 0.5)
     grid = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
     plane = np.column_stack([grid, 0.1 * grid[:, 0] - 0.2 * grid[:, 1] - 3.0])

@@ -75,9 +75,7 @@ def calibrated(
     return json.loads((folder / "echo_sounder.json").read_text())
 
 
-def test_the_calibration_holds_the_place_and_the_report_what_determined_it(
-    tmp_path: Path, repository: Path
-) -> None:
+def test_the_calibration_holds_the_place_and_the_report_what_determined_it(tmp_path, repository):
     run = make_echo_run(1, EchoSpec(reach_m=12.0, duration_s=240.0))
     report = calibrated(tmp_path, repository, run)
     found = read_calibration(tmp_path / "echo_sounder.yaml")
@@ -105,7 +103,7 @@ def test_the_calibration_holds_the_place_and_the_report_what_determined_it(
     assert again == pytest.approx(cov)
 
 
-def test_speed_of_sound_and_latency_are_not_put_into_the_place(tmp_path: Path, repository: Path) -> None:
+def test_speed_of_sound_and_latency_are_not_put_into_the_place(tmp_path, repository):
     """An instrument that takes 1500 m/s in water of 12 degrees and stamps 0.2 s late is calibrated to the
     same place as one without either; its lag is that against the stamps of the log."""
     run = make_echo_run(1, EchoSpec(reach_m=12.0, duration_s=240.0))
@@ -121,9 +119,7 @@ def test_speed_of_sound_and_latency_are_not_put_into_the_place(tmp_path: Path, r
     assert lags[1] == pytest.approx(lags[0] - 0.2, abs=2e-3)
 
 
-def test_a_lag_that_a_flat_bed_does_not_show_stays_the_stated_latency(
-    tmp_path: Path, repository: Path
-) -> None:
+def test_a_lag_that_a_flat_bed_does_not_show_stays_the_stated_latency(tmp_path, repository):
     stated = EchoSounder(latency_s=0.2, sigma_latency_s=0.07)
     times = {}
     for name, spec in (
@@ -144,14 +140,14 @@ def test_a_lag_that_a_flat_bed_does_not_show_stays_the_stated_latency(
     assert sigma_s < 0.02
 
 
-def test_heights_of_another_kind_are_refused(tmp_path: Path, repository: Path) -> None:
+def test_heights_of_another_kind_are_refused(tmp_path, repository):
     """45 m of geoid: nothing is written."""
     with pytest.raises(GeometryError, match=r"miss the surveyed bed by .*ellipsoidal"):
         calibrated(tmp_path, repository, make_echo_run(3, EchoSpec(reach_m=12.0, duration_s=30.0)), up_m=45.0)
     assert not (tmp_path / "echo_sounder.yaml").exists()
 
 
-def test_soundings_near_a_gap_and_without_time_are_left_out_and_counted() -> None:
+def test_soundings_near_a_gap_and_without_time_are_left_out_and_counted():
     run = make_echo_run(4, EchoSpec(reach_m=12.0, duration_s=30.0))
     path = run.trajectory
     t0 = path.t_gps_s[0]
@@ -169,7 +165,7 @@ def test_soundings_near_a_gap_and_without_time_are_left_out_and_counted() -> Non
         files.soundings(table[:0], path)
 
 
-def test_the_sentence_that_is_there_is_taken() -> None:
+def test_the_sentence_that_is_there_is_taken():
     run = make_echo_run(4, EchoSpec(reach_m=12.0, duration_s=10.0))
     # a log in which DPT stops early
     few = depth_table(run.t_gps_s[:10], run.depth_m[:10])
@@ -178,7 +174,7 @@ def test_the_sentence_that_is_there_is_taken() -> None:
     assert counts["of_other_sentences"] == 10
 
 
-def test_sizes_of_pose_errors_follow_the_trajectory_where_it_states_greater_ones() -> None:
+def test_sizes_of_pose_errors_follow_the_trajectory_where_it_states_greater_ones():
     run = make_echo_run(4, EchoSpec(reach_m=12.0, duration_s=10.0))
     cov = np.zeros((len(run.trajectory.t_gps_s), 6, 6))
     cov[:, 2, 2] = 0.06**2
@@ -189,7 +185,7 @@ def test_sizes_of_pose_errors_follow_the_trajectory_where_it_states_greater_ones
     assert files.settings_of(SETTINGS, run.trajectory, run.t_gps_s).errors.sigma_position_m[2] == 0.03
 
 
-def test_soundings_that_share_surveyed_points_share_their_errors() -> None:
+def test_soundings_that_share_surveyed_points_share_their_errors():
     rng = np.random.default_rng(2)
     side = np.arange(0.0, 10.1, 0.5)
     grid = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)

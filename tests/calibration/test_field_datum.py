@@ -41,7 +41,7 @@ def targets(
 TRUE = Rigid(R=exp_rotation([0.01, -0.02, 2.5]), shift_m=np.array([12.0, -40.0, 0.4]))
 
 
-def test_errors_are_as_the_covariance_says() -> None:
+def test_errors_are_as_the_covariance_says():
     squares = 0.0
     for seed in range(20):
         found = field_datum(field(), targets(TRUE, seed), FRAME)
@@ -52,7 +52,7 @@ def test_errors_are_as_the_covariance_says() -> None:
     assert low < squares < high
 
 
-def test_a_wrong_target_is_named_and_left_out() -> None:
+def test_a_wrong_target_is_named_and_left_out():
     found = field_datum(field(), targets(TRUE, 1, wrong={2: np.array([0.0, 0.0, 0.30])}), FRAME)
     ((name, reason),) = found.rejected
     assert name == "T3"
@@ -64,14 +64,14 @@ def test_a_wrong_target_is_named_and_left_out() -> None:
     assert found.table["used"].tolist() == [True, True, False, True, True, True]
 
 
-def test_contradictions_that_nobody_can_settle() -> None:
+def test_contradictions_that_nobody_can_settle():
     far = np.array([0.4, 0.0, 0.0])
     for n, wrong in ((3, {1: far}), (6, {1: far, 3: -far, 4: np.array([0, 0.5, 0.2])})):
         with pytest.raises(GeometryError, match="RTK targets contradict the field by"):
             field_datum(field(n), targets(TRUE, 1, n, wrong=wrong), FRAME)
 
 
-def test_targets_in_one_line_and_too_few() -> None:
+def test_targets_in_one_line_and_too_few():
     line = np.array([[k, 2.0 * k, 1.0] for k in range(4)])
     names = tuple((64 + k, c) for k in range(4) for c in range(4))
     saddles = np.concatenate([line[k] + MarkerLayout().saddles_m(0) for k in range(4)])
@@ -91,7 +91,7 @@ def test_targets_in_one_line_and_too_few() -> None:
         field_datum(field(), missing, FRAME)
 
 
-def test_table_has_the_residuals() -> None:
+def test_table_has_the_residuals():
     found: FieldDatum = field_datum(field(), targets(TRUE, 4), FRAME)
     off = found.table[["residual_east_m", "residual_north_m", "residual_up_m"]].to_numpy()
     # 18 numbers with sigmas of 8 and 12 mm, to which six unknowns are fitted
@@ -104,7 +104,7 @@ def far_off(n: int, wrong: dict[int, np.ndarray]) -> list[Target]:
     return targets(TRUE, 1, n, wrong=wrong)
 
 
-def test_a_target_far_away_is_left_out_and_named() -> None:
+def test_a_target_far_away_is_left_out_and_named():
     found = field_datum(field(4), far_off(4, {1: np.array([0.0, 220.0, 0.0])}), FRAME)
     ((name, reason),) = found.rejected
     assert name == "T2"
@@ -116,7 +116,7 @@ def test_a_target_far_away_is_left_out_and_named() -> None:
     assert 0.0005 < found.sigma_scale < 0.002
 
 
-def test_several_targets_far_away_are_named_with_their_distances() -> None:
+def test_several_targets_far_away_are_named_with_their_distances():
     wrong = {1: np.array([0.0, 220.0, 0.0]), 2: np.array([400.0, 0.0, 0.0])}
     with pytest.raises(GeometryError, match=r"by T3 (399\.9|400\.0)\d m, T2 (219\.9|220\.0)\d m, "):
         field_datum(field(), far_off(6, wrong), FRAME)
@@ -125,7 +125,7 @@ def test_several_targets_far_away_are_named_with_their_distances() -> None:
 
 
 @pytest.mark.parametrize("factor", [10.0, 1.02])
-def test_a_field_of_another_scale_than_the_targets(factor: float) -> None:
+def test_a_field_of_another_scale_than_the_targets(factor):
     large = field()
     scaled = replace(large, points_pcs=factor * large.points_pcs)
     with pytest.raises(GeometryError, match="RTK targets contradict the field by"):

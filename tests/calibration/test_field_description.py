@@ -1,7 +1,5 @@
 """The description of a field: what is read, and that every mistake is told with its line."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -22,7 +20,7 @@ antenna: {marker: 98, offset_m: -0.02, sigma_m: 0.001}
 """
 
 
-def test_a_good_description(tmp_path: Path) -> None:
+def test_a_good_description(tmp_path):
     path = tmp_path / "field.yaml"
     path.write_text(GOOD)
     field = read_field(path)
@@ -36,7 +34,7 @@ def test_a_good_description(tmp_path: Path) -> None:
     assert (field.cone_of(9), field.cone_of(60)) == ("C2", "")
 
 
-def test_what_is_not_there_is_not_needed() -> None:
+def test_what_is_not_there_is_not_needed():
     field = parse_field("thalweg_field: 1\nmarkers: {module_m: 0.02}\n")
     assert (field.cones, field.scale_bars, field.targets, field.antenna) == ((), (), (), None)
 
@@ -63,14 +61,14 @@ def test_what_is_not_there_is_not_needed() -> None:
         ("antenna: {", "antenna: {{", "not valid YAML"),
     ],
 )
-def test_mistakes_are_told_with_their_line(old: str, new: str, answer: str) -> None:
+def test_mistakes_are_told_with_their_line(old, new, answer):
     assert old in GOOD
     with pytest.raises(ConfigError) as caught:
         parse_field(GOOD.replace(old, new, 1))
     assert answer in str(caught.value)
 
 
-def test_all_mistakes_at_once() -> None:
+def test_all_mistakes_at_once():
     text = (
         GOOD.replace("[8, 15]", "[15, 8]")
         .replace("length_m: 1.50012", "length_m: -1")
@@ -80,7 +78,7 @@ def test_all_mistakes_at_once() -> None:
         parse_field(text)
 
 
-def test_a_missing_file(tmp_path: Path) -> None:
+def test_a_missing_file(tmp_path):
     with pytest.raises(ConfigError, match="no such file"):
         read_field(tmp_path / "none.yaml")
     with pytest.raises(ConfigError, match="begins with thalweg_field: 1"):

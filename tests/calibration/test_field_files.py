@@ -1,7 +1,6 @@
 """Files of a measured field: points with their covariance, facts, cameras."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -44,7 +43,7 @@ def points() -> FieldPoints:
     return FieldPoints(points=names, points_pcs=rng.normal(size=(8, 3)), cov=B @ B.T)
 
 
-def test_points_and_their_covariance(tmp_path: Path) -> None:
+def test_points_and_their_covariance(tmp_path):
     path = tmp_path / "field_points.csv"
     write_points(path, points())
     found = read_points(path)
@@ -60,7 +59,7 @@ def test_points_and_their_covariance(tmp_path: Path) -> None:
     assert np.count_nonzero(alone.cov) == 24
 
 
-def test_files_that_do_not_belong_together(tmp_path: Path) -> None:
+def test_files_that_do_not_belong_together(tmp_path):
     path = tmp_path / "field_points.csv"
     write_points(path, points())
     table = pd.read_csv(path)
@@ -74,7 +73,7 @@ def test_files_that_do_not_belong_together(tmp_path: Path) -> None:
         read_points(tmp_path / "none.csv")
 
 
-def test_the_centre_of_a_marker() -> None:
+def test_the_centre_of_a_marker():
     centre, cov = points().centre(17)
     np.testing.assert_allclose(centre, points().points_pcs[4:].mean(axis=0))
     mean = np.hstack([np.zeros((3, 12)), np.tile(np.eye(3), 4) / 4])
@@ -84,7 +83,7 @@ def test_the_centre_of_a_marker() -> None:
     assert {m for m, _ in points().without({3}).points} == {17}
 
 
-def test_a_field_from_marks_to_files(tmp_path: Path) -> None:
+def test_a_field_from_marks_to_files(tmp_path):
     """Nobody states a focal length, and the field comes out in the world with a place and its covariance."""
     sheets, field = blocks.yard(2, cones=5, per_cone=6, flat=12)
     marks = blocks.observe(sheets, blocks.stations(2, 14, 7.0), blocks.SLR, 2).assign(file="x")
@@ -134,7 +133,7 @@ def test_a_field_from_marks_to_files(tmp_path: Path) -> None:
         read_facts(facts)
 
 
-def test_cameras_of_every_kind_of_file(tmp_path: Path) -> None:
+def test_cameras_of_every_kind_of_file(tmp_path):
     sigma = np.r_[np.full(4, 0.1), np.full(5, 1e-4)]
     camera = blocks.SLR.with_parameters(blocks.SLR.parameters, np.diag(sigma**2))
     ours = tmp_path / "camera.yaml"

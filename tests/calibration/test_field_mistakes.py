@@ -65,7 +65,7 @@ def refocused(share: float, first: int) -> pd.DataFrame:
     return table
 
 
-def test_a_refocused_lens_is_noticed() -> None:
+def test_a_refocused_lens_is_noticed():
     assert not any("changed" in note for note in measured(yard()[1]).notes)
     found = measured(yard()[1], refocused(0.0005, 10))
     (note,) = [note for note in found.notes if "changed" in note]
@@ -77,7 +77,7 @@ def test_a_refocused_lens_is_noticed() -> None:
     assert change.probability < 1e-10
 
 
-def test_a_change_that_pictures_do_not_show_is_no_change() -> None:
+def test_a_change_that_pictures_do_not_show_is_no_change():
     shuffled = refocused(0.0005, 10)
     numbers = shuffled["image"].str[4:8].astype(int)
     # every second picture: no place before which all are one way and after which all are the other
@@ -86,7 +86,7 @@ def test_a_change_that_pictures_do_not_show_is_no_change() -> None:
     assert abs(changes[0].constant) < 0.0003
 
 
-def test_a_single_scale_bar_is_checked_by_nothing_but_targets() -> None:
+def test_a_single_scale_bar_is_checked_by_nothing_but_targets():
     alone = measured(replace(yard()[1], scale_bars=yard()[1].scale_bars[:1]), fewer())
     (note,) = [note for note in alone.notes if "scale bar" in note]
     assert "nothing shows it" in note
@@ -100,13 +100,13 @@ def test_a_single_scale_bar_is_checked_by_nothing_but_targets() -> None:
     assert not any("scale bar" in note for note in measured(field, fewer()).notes)
 
 
-def test_bars_in_another_unit() -> None:
+def test_bars_in_another_unit():
     tenfold = tuple(replace(bar, length_m=10 * bar.length_m) for bar in yard()[1].scale_bars)
     with pytest.raises(GeometryError, match=r"by the scale bars the printed markers are (9\.9|10)"):
         measured(replace(yard()[1], scale_bars=tenfold), fewer())
 
 
-def test_sheets_of_another_size_than_stated() -> None:
+def test_sheets_of_another_size_than_stated():
     layout = replace(yard()[1].layout, module_m=0.0115, sizes=())
     found = measured(replace(with_targets(), layout=layout), fewer())
     # sheets of the yard are printed 0.4 % too large, with modules of 16 and of 12 mm
@@ -114,7 +114,7 @@ def test_sheets_of_another_size_than_stated() -> None:
     assert "(modules of 11.5 mm)" in note
 
 
-def test_too_few_pictures_tell_what_they_show_and_what_to_photograph() -> None:
+def test_too_few_pictures_tell_what_they_show_and_what_to_photograph():
     images = sorted(set(marks()["image"]))
     few = marks()[marks()["image"].isin([*images[:3], *images[10:13]])]
     with pytest.raises(GeometryError, match="2 pictures show"):
@@ -140,7 +140,7 @@ def similar(points: np.ndarray, truth: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize(("place", "seed"), [(0, 2), (2, 4)])
-def test_far_wrong_marks_do_not_spoil_the_start(place: int, seed: int) -> None:
+def test_far_wrong_marks_do_not_spoil_the_start(place, seed):
     sheets, field = blocks.yard(place, cones=5, per_cone=6, flat=12)
     table = blocks.observe(sheets, blocks.stations(place, 20, 7.0), blocks.SLR, place)
     rng = np.random.default_rng([seed, 300])
@@ -182,7 +182,7 @@ def halves(links: int) -> pd.DataFrame:
 
 
 @pytest.mark.parametrize("links", [2, 3])
-def test_two_sides_that_hang_together_by_few_markers(links: int) -> None:
+def test_two_sides_that_hang_together_by_few_markers(links):
     block = block_of(halves(links), {"slr": blocks.NOMINAL})
     start = start_network(block, yard()[1].layout)
     assert len(start.poses) >= len(block.images) - 1

@@ -70,7 +70,7 @@ def misfit(network: FieldNetwork, truth: np.ndarray) -> tuple[float, int, float]
     return float(v @ W @ v), len(v) - 6, float(np.sqrt(np.mean(v**2)))
 
 
-def test_derivatives_of_marks() -> None:
+def test_derivatives_of_marks():
     block = block_of(observed(0), {"slr": SLR})
     problem = Problem(
         block, np.zeros(len(block.images), int), np.ones(len(block.image), bool), (SLR.parameter_names,)
@@ -95,7 +95,7 @@ def test_derivatives_of_marks() -> None:
         np.testing.assert_allclose(J @ dx, (plus - minus) / 2, atol=1e-6)
 
 
-def test_inner_constraints_are_the_motions_of_the_field() -> None:
+def test_inner_constraints_are_the_motions_of_the_field():
     block = block_of(observed(0), {"slr": SLR})
     problem = Problem(block, np.zeros(len(block.images), int), np.ones(len(block.image), bool), ((),))
     X = blocks.truth_of(yard(0)[0], block.points)
@@ -110,7 +110,7 @@ def test_inner_constraints_are_the_motions_of_the_field() -> None:
     assert np.abs(G[:, : layout.points]).max() == 0.0
 
 
-def test_start_needs_no_approximate_values() -> None:
+def test_start_needs_no_approximate_values():
     block = block_of(spoilt(observed(1), 0.05, 1), {"slr": NOMINAL})
     start = start_network(block, yard(1)[1].layout)
     assert len(start.poses) == 20
@@ -125,7 +125,7 @@ def test_start_needs_no_approximate_values() -> None:
     assert s == pytest.approx(1.0, abs=0.06)
 
 
-def test_errors_are_as_the_covariance_says() -> None:
+def test_errors_are_as_the_covariance_says():
     total, freedom, interior = 0.0, 0, 0.0
     seeds = range(2)
     for seed in seeds:
@@ -144,7 +144,7 @@ def test_errors_are_as_the_covariance_says() -> None:
     assert low < interior / (9 * len(seeds)) < high
 
 
-def test_five_percent_wrong_marks_do_not_shift_the_field() -> None:
+def test_five_percent_wrong_marks_do_not_shift_the_field():
     clean, dirty = measured(0), measure_field(spoilt(observed(0), 0.05, 0), {"slr": NOMINAL}, yard(0)[1])
     place = {p: i for i, p in enumerate(clean.points)}
     both = [(place[p], i) for i, p in enumerate(dirty.points) if p in place]
@@ -158,12 +158,12 @@ def test_five_percent_wrong_marks_do_not_shift_the_field() -> None:
     assert dirty.report["marks_rejected"] > 0.03 * dirty.report["marks"]
 
 
-def test_a_field_without_scale_is_refused() -> None:
+def test_a_field_without_scale_is_refused():
     with pytest.raises(GeometryError, match="no scale bar"):
         measure_field(fewer(), {"slr": NOMINAL}, replace(yard(0)[1], scale_bars=()))
 
 
-def test_a_marker_that_was_moved_during_the_session_is_named() -> None:
+def test_a_marker_that_was_moved_during_the_session_is_named():
     sheets = yard(0)[0]
     elsewhere = [
         replace(s, saddles=s.saddles + np.array([0.0, 0.01, 0.01])) if s.marker == 7 else s for s in sheets
@@ -181,7 +181,7 @@ def test_a_marker_that_was_moved_during_the_session_is_named() -> None:
     assert misfit(network, blocks.truth_of(sheets, network.points))[2] < 0.5e-3
 
 
-def test_too_few_pictures_and_markers() -> None:
+def test_too_few_pictures_and_markers():
     marks = observed(0)
     images = sorted(set(marks["image"]))
     with pytest.raises(GeometryError, match=r"usable pictures of the field, of 2|no two pictures") as caught:
@@ -195,7 +195,7 @@ def test_too_few_pictures_and_markers() -> None:
         measure_field(marks, {"boat": NOMINAL}, yard(0)[1])
 
 
-def test_a_picture_of_nothing_known_is_named() -> None:
+def test_a_picture_of_nothing_known_is_named():
     marks = fewer()
     lone = marks[marks["image"] == marks["image"].iloc[0]].head(4).assign(image="IMG_9999.jpg")
     network = measure_field(pd.concat([marks, lone], ignore_index=True), {"slr": NOMINAL}, yard(0)[1])
@@ -204,7 +204,7 @@ def test_a_picture_of_nothing_known_is_named() -> None:
     assert "1 marker" in row["reason"]
 
 
-def test_interior_orientation_that_pictures_do_not_determine() -> None:
+def test_interior_orientation_that_pictures_do_not_determine():
     """A single flat wall seen from one distance and straight ahead leaves the focal length to the scale."""
     layout = yard(0)[1].layout
     wall = [
@@ -235,7 +235,7 @@ def test_interior_orientation_that_pictures_do_not_determine() -> None:
     assert "turned by 90 degrees" in caught.value.cure
 
 
-def test_two_cameras_in_one_bundle() -> None:
+def test_two_cameras_in_one_bundle():
     fisheye: Camera = blocks.FISHEYE
     more = blocks.observe(yard(0)[0], blocks.stations(7, 8, 6.0), fisheye, 4, sigma_px=0.1)
     more["image"] = "F" + more["image"]
@@ -249,7 +249,7 @@ def test_two_cameras_in_one_bundle() -> None:
     assert off @ np.linalg.solve(network.cameras["fisheye"].cov, off) < chi2.ppf(0.999, 8)
 
 
-def test_the_limit_of_a_mark_is_that_of_two_coordinates(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_limit_of_a_mark_is_that_of_two_coordinates(monkeypatch):
     """4.5 sigmas are exceeded by 6.795e-6 (both tails of the normal table): -2 ln of it is 23.798 for two.
 
     Of all marks one gets 23.6 and one 24.0, of different points; the rest is what the block says.

@@ -2,7 +2,6 @@
 
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -26,7 +25,7 @@ CAMERA = Camera(
 )
 
 
-def test_errors_of_places_are_those_that_the_sigmas_state() -> None:
+def test_errors_of_places_are_those_that_the_sigmas_state():
     """24 pictures with points far from the origin, normal errors of image points and of control points."""
     rng = np.random.default_rng(11)
     R = Rotation.from_euler("x", -100, degrees=True).as_matrix()  # looks north, slightly down
@@ -63,16 +62,7 @@ def test_errors_of_places_are_those_that_the_sigmas_state() -> None:
         ("cam2", "IMG_11", (312.7, 300.4, 135.0), 0.25, (0.77, 1.39)),
     ],
 )
-def test_a_glacier_camera(
-    camera: str,
-    pictures: str,
-    centre_m: tuple[float, float, float],
-    within_m: float,
-    rms_px: tuple[float, float],
-    data_dir: Path,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_a_glacier_camera(camera, pictures, centre_m, within_m, rms_px, data_dir, tmp_path, capsys):
     """Four points in a picture give the published centre; three are refused.
 
     The file states no sigma: four points leave a lens that may err by 2 % open, and its places uncertain.
@@ -111,7 +101,7 @@ def test_a_glacier_camera(
     assert (found.min(), found.max()) == pytest.approx(rms_px, abs=0.006)
 
 
-def test_bad_tables_are_refused(tmp_path: Path) -> None:
+def test_bad_tables_are_refused(tmp_path):
     path = tmp_path / "marks.csv"
     path.write_text("image,point,x_px,y_px\na,P1,1,2\na,P1,3,4\n")
     with pytest.raises(InputError, match="point P1 stands twice in image a"):
@@ -125,7 +115,7 @@ def test_bad_tables_are_refused(tmp_path: Path) -> None:
         resect_series(CAMERA, marks, points)
 
 
-def test_tables_for_each_picture_are_called_like_it(tmp_path: Path) -> None:
+def test_tables_for_each_picture_are_called_like_it(tmp_path):
     """As ICEpy4D writes them: label, x, y."""
     for name in ("IMG_2", "IMG_10"):
         (tmp_path / f"{name}.csv").write_text("label,x,y\nF2,4002.5,3543.25\n")
@@ -135,7 +125,7 @@ def test_tables_for_each_picture_are_called_like_it(tmp_path: Path) -> None:
     np.testing.assert_array_equal(found.xy_px, [[4002.5, 3543.25]] * 2)
 
 
-def test_a_camera_that_stays_and_one_that_moved() -> None:
+def test_a_camera_that_stays_and_one_that_moved():
     """Differences from picture to picture are judged by the marks alone: points and lens err alike in all."""
     rng = np.random.default_rng(3)
     R = Rotation.from_euler("x", -100, degrees=True).as_matrix()
@@ -165,7 +155,7 @@ def test_a_camera_that_stays_and_one_that_moved() -> None:
     assert verdict_of(moved["normalised"], 45) == "too optimistic"
 
 
-def test_check_points_take_no_part() -> None:
+def test_check_points_take_no_part():
     rng = np.random.default_rng(8)
     R = Rotation.from_euler("x", -90, degrees=True).as_matrix()
     local = np.column_stack([rng.uniform(-20, 20, 8), rng.uniform(60, 90, 8), rng.uniform(-15, 15, 8)])
@@ -185,7 +175,7 @@ def test_check_points_take_no_part() -> None:
     assert last["vx_px"] == pytest.approx(30.0, abs=0.01)
 
 
-def test_columns_of_a_pose_by_hand() -> None:
+def test_columns_of_a_pose_by_hand():
     """A quarter turn about z; sigmas 1, 2, 3 cm and 0.1, 0.3, 0.2 degrees."""
     sigma = np.array([0.01, 0.02, 0.03, *np.deg2rad([0.1, 0.3, 0.2])])
     row = _columns(Rotation.from_euler("z", 90, degrees=True).as_matrix(), np.arange(3.0), np.diag(sigma**2))
@@ -195,7 +185,7 @@ def test_columns_of_a_pose_by_hand() -> None:
     assert row["sigma_rotation_deg"] == pytest.approx(0.3)
 
 
-def test_poses_and_residuals_of_two_pictures() -> None:
+def test_poses_and_residuals_of_two_pictures():
     """Marks without errors but for one of 40 px; a picture of three marks and a mark of no point."""
     rng = np.random.default_rng(4)
     R = Rotation.from_euler("x", -90, degrees=True).as_matrix()
@@ -243,7 +233,7 @@ def hillside(seed: int, *, noise_px: float, n: int = 28) -> tuple[Camera, pd.Dat
     return camera, marks, pd.DataFrame({"point": names, **dict(zip("xyz", X.T, strict=True))})
 
 
-def test_an_unknown_focal_length_errs_as_its_sigma_states() -> None:
+def test_an_unknown_focal_length_errs_as_its_sigma_states():
     """The true lens has a centre and a k2 that are not estimated: they count with what lenses have."""
     squares = []
     for seed in range(16):
@@ -258,7 +248,7 @@ def test_an_unknown_focal_length_errs_as_its_sigma_states() -> None:
     assert low < np.mean(squares) < high
 
 
-def test_what_the_points_do_not_tell_is_refused_by_name() -> None:
+def test_what_the_points_do_not_tell_is_refused_by_name():
     true, marks, points = hillside(1, noise_px=5.0)
     free = ["focal", "centre", "k1", "k2"]
     start = starting_lens(marks, points, true.size_px, free=free, sigma_px=5.0)
@@ -270,7 +260,7 @@ def test_what_the_points_do_not_tell_is_refused_by_name() -> None:
         starting_lens(marks, points, (400, 300), free=["focal"])
 
 
-def test_a_photograph_without_a_camera_file_in_a_national_grid(tmp_path: Path, capsys) -> None:
+def test_a_photograph_without_a_camera_file_in_a_national_grid(tmp_path, capsys):
     """Swiss LV95 lies on Bessel's ellipsoid: nothing of it needs another datum. Nothing is overwritten."""
     true, marks, points = hillside(3, noise_px=0.5)
     points = points.assign(x=points["x"] + 2_600_000, y=points["y"] + 1_200_000, z=points["z"] + 1500)
@@ -299,7 +289,7 @@ def without_sigma(true: Camera, share: float) -> Camera:
     return replace(true, parameters=np.array([f, f, 2000.0, 1500.0, 0, 0, 0, 0, 0]))
 
 
-def test_a_camera_without_sigmas_is_a_guess() -> None:
+def test_a_camera_without_sigmas_is_a_guess():
     """1 to 3 % off: squares of the centre's errors over its variances; held as exact they were thousands."""
     squares = []
     rng = np.random.default_rng(20261128)
@@ -318,9 +308,7 @@ def test_a_camera_without_sigmas_is_a_guess() -> None:
 
 
 @pytest.mark.parametrize(("noise_px", "sigma_px"), [(1.0, 1.0), (0.5, 5.0), (1.0, 0.2)])
-def test_marks_contradict_an_interior_orientation_whatever_sigma_they_state(
-    noise_px: float, sigma_px: float
-) -> None:
+def test_marks_contradict_an_interior_orientation_whatever_sigma_they_state(noise_px, sigma_px):
     """With a sigma of marks of 5 px, ten times too large, sigma0 looks innocent."""
     true, marks, points = hillside(413, noise_px=noise_px)
     camera = without_sigma(true, 0.03)
@@ -340,7 +328,7 @@ def test_marks_contradict_an_interior_orientation_whatever_sigma_they_state(
     assert resect_series(right, marks, points, sigma_px=sigma_px, interior="weighted")[0]["refused"][0] == ""
 
 
-def test_marks_that_err_more_than_stated_make_the_sigmas_larger() -> None:
+def test_marks_that_err_more_than_stated_make_the_sigmas_larger():
     """By sigma0, all but the part of the lens; too large sigmas are told and kept."""
     true, marks, points = hillside(414, noise_px=2.0)
     sigma, notes = {}, {}
@@ -355,7 +343,7 @@ def test_marks_that_err_more_than_stated_make_the_sigmas_larger() -> None:
     assert "err less than stated" in " ".join(notes[20.0])
 
 
-def test_a_campaign_without_a_camera_file(tmp_path: Path) -> None:
+def test_a_campaign_without_a_camera_file(tmp_path):
     """The rule of the campaign estimates the lens as the command does; what it needs is asked for."""
     true, marks, points = hillside(3, noise_px=0.5)
     marks.to_csv(tmp_path / "marks.csv", index=False)

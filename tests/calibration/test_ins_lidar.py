@@ -72,7 +72,7 @@ def normalised(found: Rigid, cov: ArrayF | None = None) -> float:
 
 
 @pytest.fixture(scope="module")
-def typical() -> InsLidar:
+def typical():
     spec = RunSpec(duration_s=60.0, points=120_000)
     return solved(make_run(1, spec), settings(spec))
 
@@ -80,7 +80,7 @@ def typical() -> InsLidar:
 # ---------------------------------------------------------------- equations
 
 
-def test_derivatives_are_those_of_the_distances(rng: np.random.Generator) -> None:
+def test_derivatives_are_those_of_the_distances(rng):
     spec = RunSpec(duration_s=20.0, points=20_000, noise_m=0.0)
     run = run_of(3, spec)
     points = RunPoints.on(run.trajectory, run.xyz_scs_m, run.t_gps_s)
@@ -123,7 +123,7 @@ def test_derivatives_are_those_of_the_distances(rng: np.random.Generator) -> Non
     assert np.sqrt(np.mean((found - linear) ** 2)) < 0.12 * np.abs(linear).max()
 
 
-def test_noisy_beams_on_round_cones_leave_no_mean() -> None:
+def test_noisy_beams_on_round_cones_leave_no_mean():
     """Without errors of poses and field: points lie 0.8 mm inside in the mean, and that is taken off."""
     spec = RunSpec(
         duration_s=40.0,
@@ -145,7 +145,7 @@ def test_noisy_beams_on_round_cones_leave_no_mean() -> None:
 # ---------------------------------------------------------------- one run
 
 
-def test_it_finds_the_mount_from_the_start_of_the_thesis(typical: InsLidar) -> None:
+def test_it_finds_the_mount_from_the_start_of_the_thesis(typical):
     error = np.abs(typical.T_ics_scs.error_from(TRUE_MOUNT))
     # four of its own sigmas; the start is 43 cm and 1.5 deg off
     assert np.all(error < 4 * np.sqrt(np.diag(typical.T_ics_scs.cov)))
@@ -161,7 +161,7 @@ def test_it_finds_the_mount_from_the_start_of_the_thesis(typical: InsLidar) -> N
     assert typical.noise.change(BeamNoise()) < 0.08
 
 
-def test_every_point_near_a_cone_is_counted_in_every_pass(typical: InsLidar) -> None:
+def test_every_point_near_a_cone_is_counted_in_every_pass(typical):
     parts = ["used", "far_from_surface", "beyond_ends", "grazing", "thinned"]
     assert (typical.passes[parts].sum(axis=1) == typical.passes["taken"]).all()
     assert (typical.passes["taken"] <= typical.passes["near"]).all()
@@ -173,7 +173,7 @@ def test_every_point_near_a_cone_is_counted_in_every_pass(typical: InsLidar) -> 
         assert list(table) == ["cone", "position", "t_gps_s", "x_m", "y_m", "z_m", "residual_m", "used"]
 
 
-def test_the_antenna_brings_millimetres(typical: InsLidar) -> None:
+def test_the_antenna_brings_millimetres(typical):
     with_it, without = (np.sqrt(np.diag(T.cov)) for T in (typical.T_ics_scs, typical.without_antenna))
     # seen to 1 mm in each direction; the turn of the mount over half a metre adds 0.5 mm
     assert np.all(with_it[:3] < 0.0017)
@@ -184,7 +184,7 @@ def test_the_antenna_brings_millimetres(typical: InsLidar) -> None:
     assert typical.by_antenna[:3] == pytest.approx(-typical.T_ics_scs.R, abs=0.15)
 
 
-def test_the_antenna_defines_the_origin() -> None:
+def test_the_antenna_defines_the_origin():
     run = run_of(5, SHORT)
     moved = np.array([0.03, -0.05, 0.02])
     points = RunPoints.on(run.trajectory, run.xyz_scs_m, run.t_gps_s)
@@ -208,7 +208,7 @@ def test_the_antenna_defines_the_origin() -> None:
 # ---------------------------------------------------------------- many runs
 
 
-def test_consistent_over_seeds_and_formal_not() -> None:
+def test_consistent_over_seeds_and_formal_not():
     n = 5
     spec = RunSpec(duration_s=30.0, points=30_000)
     how = settings(spec, search=NO_SEARCH, gates_m=(0.12,), gates=RunGates(min_points_per_cone=40))
@@ -225,7 +225,7 @@ def test_consistent_over_seeds_and_formal_not() -> None:
     assert not any(found.dropped for found in both)
 
 
-def test_what_the_run_leaves_open_is_in_its_covariance() -> None:
+def test_what_the_run_leaves_open_is_in_its_covariance():
     how = settings(SHORT, search=NO_SEARCH, estimate_errors=True)
     found, known = solved(run_of(2, SHORT), how, start=NEAR), good(2)
     assert found.processes is not None
@@ -240,7 +240,7 @@ def test_what_the_run_leaves_open_is_in_its_covariance() -> None:
 # ---------------------------------------------------------------- bad input
 
 
-def test_wrong_points_and_passers_by_do_not_shift_it() -> None:
+def test_wrong_points_and_passers_by_do_not_shift_it():
     dirty = make_run(7, replace(SHORT, wrong=0.05, passer_by=True))
     a, b = good(7), solved(dirty, settings(SHORT, search=NO_SEARCH), start=NEAR)
     shift = np.abs(b.T_ics_scs.error_from(a.T_ics_scs))
@@ -248,7 +248,7 @@ def test_wrong_points_and_passers_by_do_not_shift_it() -> None:
     assert not b.dropped
 
 
-def test_a_cone_that_was_moved_is_named_and_left_out() -> None:
+def test_a_cone_that_was_moved_is_named_and_left_out():
     change = np.r_[0.06, -0.04, 0.04, 0.0, 0.0, 0.0]
     found = solved(make_run(4, SHORT, move={"C2": change}), settings(SHORT, search=NO_SEARCH), start=NEAR)
     assert list(found.dropped) == ["C2"]
@@ -256,13 +256,13 @@ def test_a_cone_that_was_moved_is_named_and_left_out() -> None:
     assert normalised(found.T_ics_scs) < chi2.ppf(0.9999, 6) / 6
 
 
-def test_a_run_in_one_heading_is_refused_by_what_is_missing() -> None:
+def test_a_run_in_one_heading_is_refused_by_what_is_missing():
     spec = replace(SHORT, turning=False, points=20_000)
     with pytest.raises(UnobservableError, match=r"lever_x, lever_y.*missing motion is a turn.*circles"):
         solved(make_run(1, spec), settings(spec, search=NO_SEARCH), start=NEAR)
 
 
-def test_too_few_cones_are_refused_by_name() -> None:
+def test_too_few_cones_are_refused_by_name():
     run = run_of(1, SHORT)
     few = run.cones.only([0, 3])
     with pytest.raises(CoverageError, match=r"2 cones were seen.*3 cones with 100 points"):
@@ -275,7 +275,7 @@ def test_too_few_cones_are_refused_by_name() -> None:
         solved(replace(run, cones=lost), settings(SHORT, search=NO_SEARCH), start=NEAR)
 
 
-def test_an_antenna_that_is_another_marker_is_refused() -> None:
+def test_an_antenna_that_is_another_marker_is_refused():
     """15 cm beside: the points would still lie on the cones, and the mount be wrong by as much."""
     run = run_of(1, SHORT)
     assert run.antenna is not None
@@ -287,7 +287,7 @@ def test_an_antenna_that_is_another_marker_is_refused() -> None:
     assert "antenna.offset_m" in str(error.value)
 
 
-def test_the_sigma_of_the_stamps_reaches_the_adjustment() -> None:
+def test_the_sigma_of_the_stamps_reaches_the_adjustment():
     """A lidar that stamps 20 ms late: found if the stamps may be that wrong, else an error of the mount."""
     run = run_of(1, replace(SHORT, points=40_000))
     late = replace(run, t_gps_s=run.t_gps_s + 0.020)
@@ -304,7 +304,7 @@ def test_the_sigma_of_the_stamps_reaches_the_adjustment() -> None:
     )
 
 
-def test_points_near_cones_of_which_none_is_on_them_are_told() -> None:
+def test_points_near_cones_of_which_none_is_on_them_are_told():
     """Such as the ground below a field that is 2 m too high: here points 0.7 m behind the bases."""
     run = run_of(1, replace(SHORT, points=2000))
     points = RunPoints.on(run.trajectory, run.xyz_scs_m, run.t_gps_s).taken(np.arange(60))
@@ -316,7 +316,7 @@ def test_points_near_cones_of_which_none_is_on_them_are_told() -> None:
         find_mount(near, run.cones, run.T_wcs_pcs, NEAR, MountRange(lever_m=0.3, angle_deg=0.0))
 
 
-def test_a_field_that_is_off_as_a_whole_is_named_as_such() -> None:
+def test_a_field_that_is_off_as_a_whole_is_named_as_such():
     run = run_of(1, SHORT)
     how = settings(SHORT, search=NO_SEARCH)
     # 30 cm: the mount would take it up, were it not for the antenna's marker
@@ -331,18 +331,18 @@ def test_a_field_that_is_off_as_a_whole_is_named_as_such() -> None:
         solved(far, replace(how, search=MountRange(lever_m=0.3, angle_deg=0.0)), start=NEAR)
 
 
-def test_headings_are_counted_around_the_circle() -> None:
+def test_headings_are_counted_around_the_circle():
     assert seen_headings_deg(np.deg2rad(np.arange(0.0, 360.0, 2.0))) == 360.0
     assert seen_headings_deg(np.deg2rad([3.0] * 10)) == 5.0
 
 
 @pytest.mark.parametrize("sigmas", [0.5, 2.5, 3.0, 4.0, 6.0])
-def test_noise_that_was_cut_off_is_known_for_every_limit(sigmas: float) -> None:
+def test_noise_that_was_cut_off_is_known_for_every_limit(sigmas):
     assert truncated_variance(sigmas) == pytest.approx(truncnorm.var(-sigmas, sigmas), rel=1e-9)
     assert truncated_variance(np.inf) == 1.0
 
 
-def test_the_noise_of_the_points_does_not_hang_on_the_reject_limit() -> None:
+def test_the_noise_of_the_points_does_not_hang_on_the_reject_limit():
     run = run_of(1, SHORT)
     wide, tight = (
         solved(run, settings(SHORT, search=NO_SEARCH, reject_sigmas=k), start=NEAR).noise for k in (3.0, 2.0)
@@ -352,7 +352,7 @@ def test_the_noise_of_the_points_does_not_hang_on_the_reject_limit() -> None:
     assert tight.change(wide) < 0.06
 
 
-def test_settings_come_from_a_section() -> None:
+def test_settings_come_from_a_section():
     section = {
         "errors": {"sigma_position_m": (0.02, 0.02, 0.03), "sigma_attitude_deg": (0.1, 0.1, 0.2)},
         "noise": {"along_m": 0.01, "across_m": 0.02},

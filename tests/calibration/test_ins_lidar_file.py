@@ -80,7 +80,7 @@ def off(found: FieldCones) -> np.ndarray:
     )
 
 
-def test_the_covariance_of_the_cones_is_a_joint_one_and_positive() -> None:
+def test_the_covariance_of_the_cones_is_a_joint_one_and_positive():
     found, refused = field_cones(FIELD, measured(0), form_sigma_m=FORM_M)
     assert not refused
     assert np.linalg.eigvalsh(found.cov)[0] > 0
@@ -92,7 +92,7 @@ def test_the_covariance_of_the_cones_is_a_joint_one_and_positive() -> None:
     assert np.abs(found.cov / np.outer(sigma, sigma))[:6, 6:].max() > 0.7
 
 
-def test_cones_are_as_far_off_as_they_say() -> None:
+def test_cones_are_as_far_off_as_they_say():
     runs = [field_cones(FIELD, measured(seed), form_sigma_m=FORM_M)[0] for seed in range(16)]
     squares = [off(found) @ np.linalg.solve(found.cov, off(found)) for found in runs]
     low, high = chi2.ppf([0.001, 0.999], 18 * len(runs))
@@ -105,14 +105,14 @@ def test_cones_are_as_far_off_as_they_say() -> None:
     assert low < sum(apart) < high
 
 
-def test_a_cone_that_is_not_round_is_less_certain() -> None:
+def test_a_cone_that_is_not_round_is_less_certain():
     points = measured(1)
     round_, dented = (field_cones(FIELD, points, form_sigma_m=form)[0].cov for form in (0.0, 0.002))
     assert np.linalg.eigvalsh(dented - round_)[0] > -1e-12
     assert np.diag(dented)[5] > 4 * np.diag(round_)[5]  # the half angle: no shift of the frame is in it
 
 
-def test_a_cone_without_marks_is_left_out_of_the_covariance_too() -> None:
+def test_a_cone_without_marks_is_left_out_of_the_covariance_too():
     points = measured(2).without(set(FIELD.cones[1].markers))
     found, refused = field_cones(FIELD, points, form_sigma_m=FORM_M)
     assert (found.names, list(refused)) == (("C1", "C3"), ["C2"])
@@ -120,13 +120,13 @@ def test_a_cone_without_marks_is_left_out_of_the_covariance_too() -> None:
     np.testing.assert_allclose(found.cov, whole.cov, rtol=1e-9, atol=1e-18)
 
 
-def test_a_field_without_marks_is_refused() -> None:
+def test_a_field_without_marks_is_refused():
     markers = {m for cone in FIELD.cones for m in cone.markers}
     with pytest.raises(InputError, match=r"no cone of the field has a reference.*Take more pictures"):
         field_cones(FIELD, measured(0).without(markers))
 
 
-def test_without_a_camera_the_antennas_marker_is_left_out() -> None:
+def test_without_a_camera_the_antennas_marker_is_left_out():
     field = replace(FIELD, antenna=AntennaMarker(marker=99, offset_m=-0.02, sigma_m=0.001))
     assert seen_antenna(field, measured(0), {}, [], [], "position_1") is None
     with pytest.raises(ConfigError, match="no such file"):

@@ -17,7 +17,7 @@ REACH_M = 1.1
 
 
 @pytest.fixture(scope="module")
-def run() -> ConeRun:
+def run():
     return make_run(1, SPEC)
 
 
@@ -42,7 +42,7 @@ def message(run: ConeRun, **changes: object) -> str:
     return str(error.value)
 
 
-def test_the_blocks_give_what_the_whole_log_gives(run: ConeRun) -> None:
+def test_the_blocks_give_what_the_whole_log_gives(run):
     found = collected(run)
     whole = RunPoints.on(run.trajectory, run.xyz_scs_m, run.t_gps_s)
     near = run.cones.near(whole.in_wcs(START), run.T_wcs_pcs, REACH_M) >= 0
@@ -52,9 +52,7 @@ def test_the_blocks_give_what_the_whole_log_gives(run: ConeRun) -> None:
 
 
 @pytest.mark.parametrize("place", [(0.0, 0.0, 45.0), (90.0, -80.0, 0.0), (-4.0e5, 0.0, 0.0)])
-def test_a_field_that_lies_elsewhere_is_told_with_its_distance(
-    run: ConeRun, place: tuple[float, ...]
-) -> None:
+def test_a_field_that_lies_elsewhere_is_told_with_its_distance(run, place):
     words = message(run, field=np.array(place))
     assert "overlap in time, but none of" in words
     away = re.findall(r"([-+][\d,.]+) m (?:east|north|up)", words)
@@ -62,7 +60,7 @@ def test_a_field_that_lies_elsewhere_is_told_with_its_distance(
     np.testing.assert_allclose([float(a.replace(",", "")) for a in away], place, atol=4.0)
 
 
-def test_a_clock_that_is_an_hour_ahead_is_named_with_both_spans(run: ConeRun) -> None:
+def test_a_clock_that_is_an_hour_ahead_is_named_with_both_spans(run):
     words = message(run, later_s=3600.0)
     assert "shifted by -1:00 h it would overlap: its hour or its time zone is wrong" in words
     assert f"{len(run.t_gps_s):,} lidar points" in words
@@ -72,20 +70,20 @@ def test_a_clock_that_is_an_hour_ahead_is_named_with_both_spans(run: ConeRun) ->
     assert "of a cone" not in words
 
 
-def test_logs_of_other_times_say_how_far_they_are_apart(run: ConeRun) -> None:
+def test_logs_of_other_times_say_how_far_they_are_apart(run):
     assert "it begins" in message(run, later_s=700.0)
     assert "its date is wrong" in message(run, later_s=-86_400.0)
     assert "of no time with a clock" in message(run, later_s=np.nan)
 
 
-def test_points_in_a_gap_of_the_trajectory_are_told_from_other_times(run: ConeRun) -> None:
+def test_points_in_a_gap_of_the_trajectory_are_told_from_other_times(run):
     valid = np.zeros(len(run.trajectory.t_gps_s), dtype=np.bool_)
     valid[[0, -1]] = True
     words = message(run, trajectory=replace(run.trajectory, valid=valid))
     assert "with gaps then" in words
 
 
-def test_an_empty_log_is_told(run: ConeRun) -> None:
+def test_an_empty_log_is_told(run):
     empty = replace(run, xyz_scs_m=np.zeros((0, 3)), t_gps_s=np.zeros(0))
     assert "holds no points" in message(empty)
 
@@ -107,7 +105,7 @@ def straight(speed_mps: ArrayF, valid: ArrayF) -> Trajectory:
     )
 
 
-def test_velocities_are_not_smoothed_across_a_gap() -> None:
+def test_velocities_are_not_smoothed_across_a_gap():
     """0.5 m/s before a gap, 1.5 m/s after it, and nonsense inside."""
     n = 500
     speed = np.where(np.arange(n - 1) < 250, 0.5, 1.5)
@@ -120,7 +118,7 @@ def test_velocities_are_not_smoothed_across_a_gap() -> None:
     np.testing.assert_allclose(velocity[256:], 1.5, atol=1e-5)
 
 
-def test_noise_is_smoothed_in_pieces_of_any_length(rng: np.random.Generator) -> None:
+def test_noise_is_smoothed_in_pieces_of_any_length(rng):
     n = 400
     speed = 0.7 + 0.5 * rng.standard_normal(n - 1)
     valid = np.ones(n)
@@ -133,7 +131,7 @@ def test_noise_is_smoothed_in_pieces_of_any_length(rng: np.random.Generator) -> 
     np.testing.assert_allclose(velocity[101:103], speed[101:103], atol=1e-5)
 
 
-def test_missing_nodes_end_a_piece_too() -> None:
+def test_missing_nodes_end_a_piece_too():
     n = 400
     speed = np.where(np.arange(n - 1) < 200, 0.5, 1.5)
     whole = straight(speed, np.ones(n))

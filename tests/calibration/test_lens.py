@@ -1,8 +1,5 @@
 """Calibration of a lens from a checkerboard: on simulated boards, and on a real fisheye beyond 90 degrees."""
 
-from pathlib import Path
-from typing import Any
-
 import cv2
 import numpy as np
 import pandas as pd
@@ -57,7 +54,7 @@ def boards(camera: Camera, seed: int, pictures: int = 14, bow_m: float = 0.0) ->
 
 
 @pytest.mark.parametrize("model", LENSES)
-def test_errors_of_the_lens_are_those_that_its_covariance_states(model: str) -> None:
+def test_errors_of_the_lens_are_those_that_its_covariance_states(model):
     true, squares = LENSES[model], []
     for seed in range(5):
         found = calibrate_lens(boards(true, seed), true.size_px, spacing_m=SPACING_M, model=true.model)
@@ -70,7 +67,7 @@ def test_errors_of_the_lens_are_those_that_its_covariance_states(model: str) -> 
     assert low < np.sum(squares) < high
 
 
-def test_errors_that_the_corners_of_a_picture_share_make_the_sigmas_larger() -> None:
+def test_errors_that_the_corners_of_a_picture_share_make_the_sigmas_larger():
     """Blur and motion, other ones in each picture: 0.12 px of each bend of the board."""
     true, squares, noise = LENSES["perspective"], [], []
     for seed in range(60, 66):
@@ -90,7 +87,7 @@ def test_errors_that_the_corners_of_a_picture_share_make_the_sigmas_larger() -> 
     assert np.median(noise) > 2.0
 
 
-def test_gross_errors_are_named_and_do_no_harm() -> None:
+def test_gross_errors_are_named_and_do_no_harm():
     true = LENSES["fisheye"]
     table = boards(true, 3)
     table.loc[60, "x_px"] += 6.0
@@ -103,9 +100,7 @@ def test_gross_errors_are_named_and_do_no_harm() -> None:
     assert found.camera.parameters[:4] == pytest.approx(true.parameters[:4], abs=0.5)
 
 
-def test_a_real_lens_of_190_degrees(
-    data_dir: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], record_property: Any
-) -> None:
+def test_a_real_lens_of_190_degrees(data_dir, tmp_path, capsys, record_property):
     """Ricoh Theta S, front: 23 pictures, three corners of one are false by 5, 6 and 15 px."""
     corners = data_dir / "ricoh_theta_s" / "corners.csv"
     words = ["calibrate-lens", str(corners), "--size", "640x640", "--spacing-m", "0.03", "--model", "fisheye"]
@@ -140,7 +135,7 @@ def spread_px(camera: Camera, degrees: float) -> float:
     return float(J @ camera.cov @ J)
 
 
-def test_bad_tables_are_refused(tmp_path: Path) -> None:
+def test_bad_tables_are_refused(tmp_path):
     true = LENSES["perspective"]
     table = boards(true, 1, pictures=4)
     with pytest.raises(CoverageError, match="2 usable pictures of 2"):
@@ -158,7 +153,7 @@ def test_bad_tables_are_refused(tmp_path: Path) -> None:
         read_corners(path)
 
 
-def test_what_is_told_of_a_lens_is_what_its_corners_give() -> None:
+def test_what_is_told_of_a_lens_is_what_its_corners_give():
     """Angles from the axis, residuals, sizes and counts; pictures of too few or exchanged corners by name."""
     true = LENSES["perspective"]
     table = boards(true, 5, pictures=8)
@@ -186,7 +181,7 @@ def test_what_is_told_of_a_lens_is_what_its_corners_give() -> None:
     assert file.source.observations == 2 * len(used)
 
 
-def test_the_pose_of_a_board_from_rays_without_errors() -> None:
+def test_the_pose_of_a_board_from_rays_without_errors():
     """A board of four by three, turned and beyond 90 degrees from the axis; a point of it moved is told."""
     board = 0.1 * np.stack(np.meshgrid(np.arange(4.0), np.arange(3.0)), axis=-1).reshape(-1, 2)
     R = Rotation.from_rotvec([0.3, -0.2, 1.1]).as_matrix()
@@ -202,7 +197,7 @@ def test_the_pose_of_a_board_from_rays_without_errors() -> None:
 
 
 @pytest.mark.real
-def test_a_lens_from_photographs_of_a_board(data_dir: Path, tmp_path: Path, capsys, record_property) -> None:
+def test_a_lens_from_photographs_of_a_board(data_dir, tmp_path, capsys, record_property):
     """ACFR: ten pictures of a board of 7 x 5 corners by a fisheye, beside another program's lens of it.
 
     With that lens the corners of these pictures leave 0.119 px.

@@ -37,7 +37,7 @@ def saved(folder: Path, images: dict[str, np.ndarray]) -> Path:
     return folder
 
 
-def test_table_of_marks(tmp_path: Path) -> None:
+def test_table_of_marks(tmp_path):
     folder = saved(
         tmp_path / "reference", {"b.jpg": picture([1, 2, 3]), "a.png": picture([4]), "c.jpg": picture([])}
     )
@@ -64,14 +64,14 @@ def test_table_of_marks(tmp_path: Path) -> None:
     assert found.size_px("slr") == (600, 180)
 
 
-def test_a_note_on_how_the_camera_was_held_turns_no_pixels(tmp_path: Path) -> None:
+def test_a_note_on_how_the_camera_was_held_turns_no_pixels(tmp_path):
     exif = Image.Exif()
     exif[0x0112] = 6
     Image.fromarray(picture([1])).save(tmp_path / "a.jpg", exif=exif)
     assert read_grey(tmp_path / "a.jpg").shape == (180, 600)
 
 
-def test_an_id_that_exists_twice_is_left_out_everywhere(tmp_path: Path) -> None:
+def test_an_id_that_exists_twice_is_left_out_everywhere(tmp_path):
     folder = saved(tmp_path, {"a.png": picture([1, 2, 1]), "b.png": picture([1, 3])})
     found = detect_pictures({"slr": list_images(folder)}, LAYOUT)
     assert sorted(set(found.marks["marker"])) == [2, 3]
@@ -79,7 +79,7 @@ def test_an_id_that_exists_twice_is_left_out_everywhere(tmp_path: Path) -> None:
     assert note.startswith("marker 1 in a.png: seen twice in one picture; the id exists twice")
 
 
-def test_mirrored_sheets_and_pictures(tmp_path: Path) -> None:
+def test_mirrored_sheets_and_pictures(tmp_path):
     sheet = picture([1, 2, 3])
     sheet[20:152, 165:297] = sheet[20:152, 165:297][:, ::-1]
     found = detect_pictures({"slr": list_images(saved(tmp_path / "one", {"a.png": sheet}))}, LAYOUT)
@@ -93,7 +93,7 @@ def test_mirrored_sheets_and_pictures(tmp_path: Path) -> None:
     assert "original files" in caught.value.cure
 
 
-def test_what_is_no_set_of_pictures(tmp_path: Path) -> None:
+def test_what_is_no_set_of_pictures(tmp_path):
     with pytest.raises(InputError, match="no photograph in this folder"):
         list_images(tmp_path)
     with pytest.raises(InputError, match="no pictures"):

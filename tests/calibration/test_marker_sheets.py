@@ -1,7 +1,5 @@
 """The printed sheet: where its saddles are, and that it is printed in true scale."""
 
-from pathlib import Path
-
 import cv2
 import numpy as np
 import pytest
@@ -21,7 +19,7 @@ from thalweg.core import GeometryError, InputError
 LAYOUT = MarkerLayout(sizes=((60, 99, 0.016),))
 
 
-def test_saddles_are_crossings_of_black_and_white() -> None:
+def test_saddles_are_crossings_of_black_and_white():
     k = 10
     picture = sheet_picture(17, LAYOUT, k)
     assert picture.shape == (110, 110)
@@ -33,7 +31,7 @@ def test_saddles_are_crossings_of_black_and_white() -> None:
         assert quadrants == expected, number
 
 
-def test_tag_is_that_of_aruco_with_a_white_frame() -> None:
+def test_tag_is_that_of_aruco_with_a_white_frame():
     picture = sheet_picture(17, LAYOUT, 2)
     tag = cv2.aruco.generateImageMarker(LAYOUT.tags, 17, 6)
     np.testing.assert_array_equal(picture[5:17:2, 5:17:2], tag)
@@ -41,7 +39,7 @@ def test_tag_is_that_of_aruco_with_a_white_frame() -> None:
     assert (picture[:, 0] == 255).all()
 
 
-def test_the_size_of_a_marker_is_that_of_its_range() -> None:
+def test_the_size_of_a_marker_is_that_of_its_range():
     assert [LAYOUT.module_of(i) for i in (59, 60, 99, 100)] == [0.012, 0.016, 0.016, 0.012]
     saddles = LAYOUT.saddles_m(0)
     np.testing.assert_allclose(np.linalg.norm(np.diff(saddles, axis=0), axis=1), 0.096)
@@ -50,7 +48,7 @@ def test_the_size_of_a_marker_is_that_of_its_range() -> None:
     assert np.cross(saddles[1] - saddles[0], saddles[2] - saddles[1])[2] < 0
 
 
-def test_pages_have_true_scale(tmp_path: Path) -> None:
+def test_pages_have_true_scale(tmp_path):
     (path,) = write_sheets(tmp_path / "sheets.pdf", [3, 60], LAYOUT)
     assert path.read_bytes().count(b"/MediaBox [ 0 0 595.27") == 2  # A4 in points of 1/72 inch
     files = write_sheets(tmp_path / "sheets", [3], LAYOUT)
@@ -68,7 +66,7 @@ def test_pages_have_true_scale(tmp_path: Path) -> None:
         assert (sheet.max(axis=0) - sheet.min(axis=0) + 1).tolist() == [10 * module_mm * DOTS_PER_MM] * 2
 
 
-def test_names_of_marks() -> None:
+def test_names_of_marks():
     assert mark_name(17, 0) == "17/0"
     assert parse_mark("17/3") == (17, 3)
     for wrong in ("17", "17/4", "a/1", "17/1/2", "-1/0"):
@@ -76,7 +74,7 @@ def test_names_of_marks() -> None:
             parse_mark(wrong)
 
 
-def test_what_cannot_be_printed_is_refused(tmp_path: Path) -> None:
+def test_what_cannot_be_printed_is_refused(tmp_path):
     with pytest.raises(GeometryError, match="even number"):
         sheet_picture(1, LAYOUT, 5)
     with pytest.raises(GeometryError, match="0 to 249"):
@@ -98,7 +96,7 @@ def test_what_cannot_be_printed_is_refused(tmp_path: Path) -> None:
         MarkerLayout(module_m=12.0)
 
 
-def test_what_exists_stays_and_half_a_set_is_never_written(tmp_path: Path) -> None:
+def test_what_exists_stays_and_half_a_set_is_never_written(tmp_path):
     pdf, folder = tmp_path / "sheets.pdf", tmp_path / "sheets"
     for path in (pdf, folder):
         # the last of them cannot be printed

@@ -108,7 +108,7 @@ def errors(image: np.ndarray, truth: dict) -> tuple[np.ndarray, np.ndarray]:
 @pytest.mark.parametrize(
     ("module_px", "limit_px", "least"), [(4.0, 0.08, 30), (6.0, 0.04, 40), (12.0, 0.02, 44)]
 )
-def test_saddles_are_where_they_were_drawn(module_px: float, limit_px: float, least: int) -> None:
+def test_saddles_are_where_they_were_drawn(module_px, limit_px, least):
     image, truth = board(module_px)
     off, sigma = errors(image, truth)
     assert len(off) >= least  # of 48; the most tilted are too small for their bits
@@ -123,7 +123,7 @@ def test_saddles_are_where_they_were_drawn(module_px: float, limit_px: float, le
     assert np.sqrt(np.median(np.square(off).sum(axis=1) / np.square(sigma)) / 1.386) < high
 
 
-def test_bent_sheets_are_read() -> None:
+def test_bent_sheets_are_read():
     """Arcs of 0.5 modules, as on a cone of 0.2 m radius: OpenCV alone does not read all of them."""
     sheets = [(k, homography((120 + 200 * k, 130), 9.0, 0.3 * k, 0.8)) for k in range(4)]
     image, truth = drawn(sheets, (850, 260), bend=0.035)
@@ -135,7 +135,7 @@ def test_bent_sheets_are_read() -> None:
     assert np.sqrt((off**2).mean()) < 0.06
 
 
-def test_corners_follow_the_tag_in_every_turn() -> None:
+def test_corners_follow_the_tag_in_every_turn():
     sheets = [(7 + k, homography((100 + 170 * k, 100), 8.0, k * np.pi / 2 + 0.1)) for k in range(4)]
     image, truth = drawn(sheets, (720, 200))
     off, _ = errors(image, truth)
@@ -143,7 +143,7 @@ def test_corners_follow_the_tag_in_every_turn() -> None:
     assert np.abs(off).max() < 0.1
 
 
-def test_a_mirrored_sheet_is_named() -> None:
+def test_a_mirrored_sheet_is_named():
     sheets = [(k, homography((100 + 170 * k, 100), 8.0, 0.2)) for k in range(4)]
     image, _ = drawn(sheets, (720, 200), mirrored=(2,))
     found = detect(image, LAYOUT)
@@ -154,7 +154,7 @@ def test_a_mirrored_sheet_is_named() -> None:
     assert rejected_for(whole, MIRRORED) == [0, 1, 3]
 
 
-def test_an_id_that_stands_twice_is_not_used() -> None:
+def test_an_id_that_stands_twice_is_not_used():
     sheets = [(k, homography((100 + 170 * i, 100), 8.0, 0.2)) for i, k in enumerate((4, 5, 4))]
     found = detect(drawn(sheets, (540, 200))[0], LAYOUT)
     assert set(found.marks["marker"]) == {5}
@@ -162,7 +162,7 @@ def test_an_id_that_stands_twice_is_not_used() -> None:
     assert len(found.rejected) == 2
 
 
-def test_a_tag_without_saddles_is_no_marker() -> None:
+def test_a_tag_without_saddles_is_no_marker():
     image, _ = drawn([(4, homography((100, 100), 8.0))], (200, 200))
     for x, y in ((68, 68), (132, 68), (132, 132)):
         image[y - 10 : y + 10, x - 10 : x + 10] = 229
@@ -171,7 +171,7 @@ def test_a_tag_without_saddles_is_no_marker() -> None:
     assert rejected_for(found, NO_SADDLES) == [4]
 
 
-def test_pictures_without_markers_and_no_pictures() -> None:
+def test_pictures_without_markers_and_no_pictures():
     noise = np.random.default_rng(1).integers(0, 255, (300, 400)).astype(np.uint8)
     assert len(detect(noise, LAYOUT).marks) == 0
     assert list(detect(noise, LAYOUT).marks.columns) == [

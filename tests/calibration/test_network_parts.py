@@ -43,7 +43,7 @@ def field_points() -> tuple[Any, ArrayF]:
 ONE = np.array([True])
 
 
-def test_the_frame_is_that_of_the_approximate_centres() -> None:
+def test_the_frame_is_that_of_the_approximate_centres():
     block, X = field_points()
     factor, T = _frame(block, state(X), ONE, CENTRES)
     assert factor == pytest.approx(FACTOR)
@@ -61,7 +61,7 @@ def test_the_frame_is_that_of_the_approximate_centres() -> None:
 @pytest.mark.parametrize(
     "spoilt", ["one point unsolved", "three points", "stated elsewhere", "not in the field"]
 )
-def test_a_marker_that_is_not_whole_or_not_there_has_no_part_in_the_frame(spoilt: str) -> None:
+def test_a_marker_that_is_not_whole_or_not_there_has_no_part_in_the_frame(spoilt):
     """The other three give the frame; of the fourth, counted with them, the mean would be elsewhere."""
     block, X = field_points()
     centres = dict(CENTRES)
@@ -81,7 +81,7 @@ def test_a_marker_that_is_not_whole_or_not_there_has_no_part_in_the_frame(spoilt
 
 
 @pytest.mark.parametrize("centres", [None, {k: CENTRES[k] for k in (3, 5)}, {1: np.zeros(3), 2: np.ones(3)}])
-def test_without_three_centres_the_field_is_upright_as_the_pictures_are(centres: Any) -> None:
+def test_without_three_centres_the_field_is_upright_as_the_pictures_are(centres):
     """Two cameras, tilted to either side; a third that takes no part lies on its side.
 
     x goes along the field, 10 m long and 2 m wide; the median of the coordinates is the origin.
@@ -135,7 +135,7 @@ def scaled(
     return used, scale, rejected
 
 
-def test_bars_between_measured_points_give_the_scale() -> None:
+def test_bars_between_measured_points_give_the_scale():
     used, scale, rejected = scaled(
         bars(("A", "1/0", "1/1", 2.0), ("B", "1/2", "1/0", 4.0), ("C", "1/1", "1/3", 6.3))
     )
@@ -151,7 +151,7 @@ def test_bars_between_measured_points_give_the_scale() -> None:
     assert scale.sigma == pytest.approx(1e-3)
 
 
-def test_errors_of_the_ends_are_part_of_the_scale() -> None:
+def test_errors_of_the_ends_are_part_of_the_scale():
     """From (1, 0, 0) to (0, 2, 0): only what lies along (-1, 2, 0) / sqrt 5 counts, of both ends together."""
     cov = np.zeros((17, 17))
     cov[5:8, 5:8] = np.diag([4e-6, 1e-6, 9e-6])  # of point 1/1, the second
@@ -164,7 +164,7 @@ def test_errors_of_the_ends_are_part_of_the_scale() -> None:
     assert scale.sigma == pytest.approx(np.sqrt(1e-6 + 4 * variance) / length, rel=1e-9)
 
 
-def test_a_bar_without_one_of_its_ends_is_named_and_left_out() -> None:
+def test_a_bar_without_one_of_its_ends_is_named_and_left_out():
     used, scale, rejected = scaled(
         bars(
             ("A", "1/0", "9/0", 2.0),
@@ -181,7 +181,7 @@ def test_a_bar_without_one_of_its_ends_is_named_and_left_out() -> None:
         assert reason == f"{start} not measured in 3 good pictures"
 
 
-def test_a_field_whose_bars_were_not_measured_is_refused_with_the_reasons() -> None:
+def test_a_field_whose_bars_were_not_measured_is_refused_with_the_reasons():
     with pytest.raises(GeometryError, match=r"no scale bar can be used \(A: its mark 9/0 was not measured"):
         scaled(bars(("A", "1/0", "9/0", 2.0)))
     with pytest.raises(GeometryError, match=r"^no scale bar: expected at least two|^no scale bar[^ ]"):
@@ -191,7 +191,7 @@ def test_a_field_whose_bars_were_not_measured_is_refused_with_the_reasons() -> N
 # ---------------------------------------------------------------- tables
 
 
-def test_tables_of_a_network_by_hand() -> None:
+def test_tables_of_a_network_by_hand():
     """One camera with two free parameters, two pictures, two points, four marks of which one is not used."""
     camera = Camera(
         model="perspective",
@@ -283,7 +283,7 @@ def test_tables_of_a_network_by_hand() -> None:
 # ---------------------------------------------------------------- all together
 
 
-def test_a_field_in_the_frame_of_centres() -> None:
+def test_a_field_in_the_frame_of_centres():
     """One picture of a lone marker is left out; the third bar is stated 5 mm too long and named."""
     sheets, field = blocks.yard(3, cones=3, per_cone=5, flat=8)
     marks = blocks.observe(sheets, blocks.stations(3, 14, 7.0), blocks.SLR, 3)
@@ -315,7 +315,7 @@ def test_a_field_in_the_frame_of_centres() -> None:
     assert found.changes
 
 
-def test_two_cameras_need_two_names() -> None:
+def test_two_cameras_need_two_names():
     sheets, field = blocks.yard(3, cones=3, per_cone=5, flat=8)
     marks = blocks.observe(sheets, blocks.stations(3, 14, 7.0), blocks.SLR, 3)
     marks.loc[marks["image"] > "IMG_0006.jpg", "camera"] = "other"

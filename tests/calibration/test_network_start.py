@@ -73,7 +73,7 @@ def exact() -> tuple[Block, Start]:
 # ---------------------------------------------------------------- places of sheets
 
 
-def test_the_centre_of_a_sheet_is_the_mean_of_four_saddles() -> None:
+def test_the_centre_of_a_sheet_is_the_mean_of_four_saddles():
     block, start = exact()
     start.points[1] += [0.4, 0.0, 0.0]
     start.points[6] = np.nan
@@ -83,7 +83,7 @@ def test_the_centre_of_a_sheet_is_the_mean_of_four_saddles() -> None:
     np.testing.assert_allclose(found[6], CENTRES[6])
 
 
-def test_sheets_are_where_they_were_intersected_or_else_where_pictures_see_them() -> None:
+def test_sheets_are_where_they_were_intersected_or_else_where_pictures_see_them():
     """Sheet 1 lacks a saddle; three pictures see it 0, 0.3 and 9 m off: the median. Sheet 5 is not seen."""
     block, start = exact()
     start.points[6] = np.nan
@@ -100,7 +100,7 @@ def test_sheets_are_where_they_were_intersected_or_else_where_pictures_see_them(
     assert sorted(found) == [0, 1, 2, 3, 4, 6]
 
 
-def test_a_picture_is_laid_upon_three_sheets() -> None:
+def test_a_picture_is_laid_upon_three_sheets():
     at = {m: CENTRES[m] for m in (0, 1, 2)}
     there = {m: PLACE.apply(at[m][None])[0] for m in at} | {9: np.zeros(3)}
     found = _aligned(at | {5: np.ones(3)}, there)
@@ -110,7 +110,7 @@ def test_a_picture_is_laid_upon_three_sheets() -> None:
 
 
 @pytest.mark.parametrize(("width_m", "there"), [(0.5, False), (1.5, True)])
-def test_sheets_in_a_line_leave_a_turn_free(width_m: float, there: bool) -> None:
+def test_sheets_in_a_line_leave_a_turn_free(width_m, there):
     """Three sheets 10 m ahead, the middle one aside: sqrt(2) / 3 of that is the width, and 0.5 m the limit.
 
     The farthest one is sqrt(10^2 + 4^2) = 10.77 m away, so the limit is 0.54 m: 1.14 m aside.
@@ -121,7 +121,7 @@ def test_sheets_in_a_line_leave_a_turn_free(width_m: float, there: bool) -> None
 
 
 @pytest.mark.parametrize(("off_m", "there"), [(0.2, True), (2.0, False)])
-def test_sheets_that_lie_otherwise_do_not_align(off_m: float, there: bool) -> None:
+def test_sheets_that_lie_otherwise_do_not_align(off_m, there):
     """Seven sheets of a field of 2 m, each moved to another side: a tenth of its size is the limit."""
     at = dict(enumerate(CENTRES))
     side = off_m * np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1], [1, 0, 0]])
@@ -132,7 +132,7 @@ def test_sheets_that_lie_otherwise_do_not_align(off_m: float, there: bool) -> No
 # ---------------------------------------------------------------- points and poses
 
 
-def test_rays_meet_in_their_points() -> None:
+def test_rays_meet_in_their_points():
     block, start = exact()
     np.testing.assert_allclose(_intersect(block, start.poses), start.points, atol=1e-9)
     # two pictures are enough, one is not; a ray without numbers is no ray
@@ -145,7 +145,7 @@ def test_rays_meet_in_their_points() -> None:
     assert np.isnan(_intersect(block, {0: start.poses[0]})).all()
 
 
-def test_one_wrong_ray_of_six_hardly_moves_its_point() -> None:
+def test_one_wrong_ray_of_six_hardly_moves_its_point():
     """0.3 rad off at 6 m: 1.8 m, weighted down to a millirad's share in each turn."""
     block, start = exact()
     rays = block.rays.copy()
@@ -156,7 +156,7 @@ def test_one_wrong_ray_of_six_hardly_moves_its_point() -> None:
     np.testing.assert_allclose(np.delete(off, 3), 0.0, atol=1e-9)
 
 
-def test_rays_that_hardly_cross_make_no_point() -> None:
+def test_rays_that_hardly_cross_make_no_point():
     """Two pictures, 5 m from a point, apart by 0.029 and 0.031 rad as it sees them; 0.03 is the limit."""
     for angle, solved in ((0.029, False), (0.031, True)):
         poses = {
@@ -177,7 +177,7 @@ def test_rays_that_hardly_cross_make_no_point() -> None:
         assert np.isfinite(_intersect(block, poses)).all() == solved
 
 
-def test_a_wrong_pose_is_found_anew_and_right_ones_stay() -> None:
+def test_a_wrong_pose_is_found_anew_and_right_ones_stay():
     block, start = exact()
     true = dict(start.poses)
     wrong = true[2].moved(np.array([1.0, -0.5, 0.3, 0.1, 0.2, -0.1]))
@@ -194,7 +194,7 @@ def test_a_wrong_pose_is_found_anew_and_right_ones_stay() -> None:
         assert start.poses[i] is true[i]
 
 
-def test_a_right_pose_with_wrong_marks_is_not_found_anew() -> None:
+def test_a_right_pose_with_wrong_marks_is_not_found_anew():
     """Three of ten marks are off by 0.1: the pose fits badly, and no other fits better."""
     block, start = exact()
     true = start.poses[2]
@@ -204,7 +204,7 @@ def test_a_right_pose_with_wrong_marks_is_not_found_anew() -> None:
     assert start.poses[2] is true
 
 
-def test_a_picture_is_resected_without_the_rays_that_are_unknown() -> None:
+def test_a_picture_is_resected_without_the_rays_that_are_unknown():
     block, start = exact()
     true = start.poses.pop(2)
     rays = block.rays.copy()
@@ -215,7 +215,7 @@ def test_a_picture_is_resected_without_the_rays_that_are_unknown() -> None:
 
 
 @pytest.mark.parametrize("kept", ["six saddles", "three sheets"])
-def test_too_little_repairs_no_pose(kept: str) -> None:
+def test_too_little_repairs_no_pose(kept):
     block, start = exact()
     wrong = start.poses[2].moved(np.array([1.0, -0.5, 0.3, 0.1, 0.2, -0.1]))
     start.poses[2] = wrong
@@ -232,7 +232,7 @@ def test_too_little_repairs_no_pose(kept: str) -> None:
 TARGETS = np.array([[0.0, 0, 0], [10, 0, 1], [12, 8, 0], [-1, 9, 2], [5, 4, 0.5], [3, 12, 1]])
 
 
-def test_a_similarity_by_hand() -> None:
+def test_a_similarity_by_hand():
     factor, T = similarity(TARGETS, PLACE.apply(1.25 * TARGETS), scaled=True)
     assert factor == pytest.approx(1.25)
     np.testing.assert_allclose(T.matrix, PLACE.matrix, atol=1e-9)
@@ -242,7 +242,7 @@ def test_a_similarity_by_hand() -> None:
 
 
 @pytest.mark.parametrize("scaled", [True, False])
-def test_the_place_of_most_targets(scaled: bool) -> None:
+def test_the_place_of_most_targets(scaled):
     """Two of six lie elsewhere; the field is 1.2 times too small, and the factor is asked for or not."""
     there = PLACE.apply(1.2 * TARGETS)
     there[1] += [30.0, 0.0, 0.0]
@@ -262,16 +262,16 @@ def test_the_place_of_most_targets(scaled: bool) -> None:
 
 
 @pytest.mark.parametrize(("factor", "there"), [(0.59, False), (0.61, True), (1.59, True), (1.61, False)])
-def test_a_place_of_another_size_is_none(factor: float, there: bool) -> None:
+def test_a_place_of_another_size_is_none(factor, there):
     found = approximate_place(TARGETS, PLACE.apply(factor * TARGETS), scaled=True)
     assert (found is not None) == there
 
 
-def test_targets_that_belong_to_nothing_have_no_place(rng: np.random.Generator) -> None:
+def test_targets_that_belong_to_nothing_have_no_place(rng):
     assert approximate_place(TARGETS, 10 * rng.standard_normal((6, 3)), scaled=True) is None
 
 
-def test_which_targets_agree() -> None:
+def test_which_targets_agree():
     """One of six 1 m off, where 5 cm are tolerated; RTK minus field is that metre."""
     there = PLACE.apply(TARGETS)
     there[3] += [0.0, 0.0, 1.0]
@@ -287,7 +287,7 @@ def test_which_targets_agree() -> None:
     np.testing.assert_allclose(off.sum(axis=0), 0.0, atol=1e-9)
 
 
-def test_of_as_many_targets_the_nearer_ones_agree() -> None:
+def test_of_as_many_targets_the_nearer_ones_agree():
     """Two triples of six: one fits exactly, one to some centimetres within its tolerance of 10 cm."""
     other = Rigid(R=rotation_opk(0.0, 0.0, 1.0), shift_m=np.array([200.0, 0.0, 0.0]))
     loose = other.apply(TARGETS[:3]) + 0.03 * np.array([[1.0, 0, 0], [-1, 1, 0], [0, -1, 0]])
@@ -296,12 +296,12 @@ def test_of_as_many_targets_the_nearer_ones_agree() -> None:
     assert kept.tolist() == [False, False, False, True, True, True]
 
 
-def test_distances_in_words() -> None:
+def test_distances_in_words():
     off = np.array([[0.0, 0.03, 0.04], [3.0, 0.0, 4.0], [0.1, 0.0, 0.0]])
     assert distances_words(["T0", "T1", "T2"], off) == "T1 5.00 m, T2 0.10 m, T0 0.05 m"
 
 
-def test_triples_span_a_triangle() -> None:
+def test_triples_span_a_triangle():
     """Three of four in a line with a width of a tenth of a percent; at most 2000 of very many."""
     line = np.array([[0.0, 0, 0], [5, 0.005, 0], [10, 0, 0], [3, 8, 0]])
     assert [t.tolist() for t in _triples(line)] == [[0, 1, 3], [0, 2, 3], [1, 2, 3]]
@@ -316,7 +316,7 @@ def test_triples_span_a_triangle() -> None:
 
 
 @pytest.fixture(scope="module")
-def changed() -> dict[str, Any]:
+def changed():
     """Twelve pictures; since the eighth the constant is larger by 0.2 %, and the axis 3 and -2 px on."""
     sheets, _ = blocks.yard(0, cones=2, per_cone=3, flat=12)
     stations = blocks.stations(0, 12, 7.0)
@@ -344,7 +344,7 @@ def changed() -> dict[str, Any]:
     return {"problem": problem, "adjusted": adjusted, "layout": layout, "J": J, "w": w, "part": part}
 
 
-def test_a_camera_that_changed_is_the_score_test_of_all_marks(changed: dict[str, Any]) -> None:
+def test_a_camera_that_changed_is_the_score_test_of_all_marks(changed):
     """Three more unknowns of all marks since a picture, by differences; the best of all places is told."""
     problem, adjusted, layout = changed["problem"], changed["adjusted"], changed["layout"]
     (found,) = camera_changes(problem, cast(Any, adjusted), layout)
@@ -382,9 +382,7 @@ def test_a_camera_that_changed_is_the_score_test_of_all_marks(changed: dict[str,
 @pytest.mark.parametrize(
     ("bend_sigmas", "probability", "refused"), [(3.1, 1e-9, True), (2.9, 1e-9, False), (3.1, 0.9, False)]
 )
-def test_a_clear_change_that_bends_the_field_is_refused(
-    bend_sigmas: float, probability: float, refused: bool
-) -> None:
+def test_a_clear_change_that_bends_the_field_is_refused(bend_sigmas, probability, refused):
     """Three of its sigmas; a change that is likely by chance bends nothing."""
     change = CameraChange(
         camera="slr",
@@ -404,7 +402,7 @@ def test_a_clear_change_that_bends_the_field_is_refused(
         require_steady([change])
 
 
-def test_five_pictures_of_a_camera_tell_no_change(changed: dict[str, Any]) -> None:
+def test_five_pictures_of_a_camera_tell_no_change(changed):
     """Three on either side are needed."""
     problem, adjusted = changed["problem"], changed["adjusted"]
     told = cast(Any, SimpleNamespace(x=replace(adjusted.x, cameras=(SLR, SLR)), cov=adjusted.cov))

@@ -9,7 +9,7 @@ STATED = BeamNoise(along_m=0.0173, across_m=0.0173)
 
 
 @pytest.mark.parametrize(("along", "across"), [(0.010, 0.030), (0.030, 0.010), (0.026, 0.026)])
-def test_noise_along_and_across_are_told_apart(rng: np.random.Generator, along: float, across: float) -> None:
+def test_noise_along_and_across_are_told_apart(rng, along, across):
     cosine = rng.uniform(0.5, 1.0, 20_000)
     # by hand: a beam at 60 degrees has a quarter of the noise along it and three quarters of that across
     sigma = np.sqrt(along**2 * cosine**2 + across**2 * (1 - cosine**2))
@@ -19,7 +19,7 @@ def test_noise_along_and_across_are_told_apart(rng: np.random.Generator, along: 
     assert found.across_m == pytest.approx(across, rel=0.12)
 
 
-def test_one_incidence_leaves_the_ratio_as_stated(rng: np.random.Generator) -> None:
+def test_one_incidence_leaves_the_ratio_as_stated(rng):
     stated = BeamNoise(along_m=0.02, across_m=0.01)
     cosine = np.full(5000, np.sqrt(0.5))
     found = estimate_noise(0.0316 * rng.standard_normal(5000), cosine, 1.0, stated)
@@ -27,12 +27,12 @@ def test_one_incidence_leaves_the_ratio_as_stated(rng: np.random.Generator) -> N
     assert found.along_m > found.across_m
 
 
-def test_points_that_hardly_outnumber_the_unknowns_leave_the_noise_as_stated() -> None:
+def test_points_that_hardly_outnumber_the_unknowns_leave_the_noise_as_stated():
     found = estimate_noise(np.full(10, 0.5), np.ones(10), 0.9 * LEAST_SHARE, STATED)
     assert found is STATED
 
 
-def test_noise_does_not_swallow_moved_cones(rng: np.random.Generator) -> None:
+def test_noise_does_not_swallow_moved_cones(rng):
     found = estimate_noise(0.3 * rng.standard_normal(500), rng.uniform(0.5, 1.0, 500), 1.0, STATED)
     assert found.along_m <= MOST * STATED.along_m * (1 + 1e-9)
     assert found.across_m <= MOST * STATED.across_m * (1 + 1e-9)

@@ -21,7 +21,7 @@ def dense(band: ArrayF) -> ArrayF:
 
 
 @pytest.mark.parametrize("white", [0.0, 0.25])
-def test_the_prior_is_the_inverse_of_the_covariance_of_the_processes(white: float) -> None:
+def test_the_prior_is_the_inverse_of_the_covariance_of_the_processes(white):
     errors = PoseErrors(
         sigma_position_m=ERRORS.sigma_position_m,
         sigma_attitude_rad=ERRORS.sigma_attitude_rad,
@@ -45,7 +45,7 @@ def test_the_prior_is_the_inverse_of_the_covariance_of_the_processes(white: floa
     assert logdet == pytest.approx(np.linalg.slogdet(dense(band))[1], rel=1e-12)
 
 
-def test_the_elimination_equals_dense_least_squares(rng: np.random.Generator) -> None:
+def test_the_elimination_equals_dense_least_squares(rng):
     knots = Knots.over(10.0, 12.9, ERRORS)
     n, m = 200, 4
     t = rng.uniform(10.0, 12.9, n)
@@ -79,7 +79,7 @@ def test_the_elimination_equals_dense_least_squares(rng: np.random.Generator) ->
     assert normals.taken(band) == pytest.approx(np.trace(Nb @ np.linalg.inv(Nb + dense(band))), rel=1e-4)
 
 
-def test_a_turn_moves_a_point_about_the_antenna(rng: np.random.Generator) -> None:
+def test_a_turn_moves_a_point_about_the_antenna(rng):
     R = rotation_enu_body(np.array([0.05]), np.array([-0.04]), np.array([2.1]))
     arm, normal = np.array([[3.0, -4.0, 1.0]]), np.array([[0.6, 0.0, 0.8]])
     e = 1e-5
@@ -91,20 +91,20 @@ def test_a_turn_moves_a_point_about_the_antenna(rng: np.random.Generator) -> Non
     assert rows[:3] == pytest.approx(normal[0])
 
 
-def test_small_turns_are_rotations() -> None:
+def test_small_turns_are_rotations():
     v = np.deg2rad([[0.2, -0.3, 0.25]])
     # third order: (0.44 deg)^3 / 6 = 8e-8
     assert turns(v)[0] == pytest.approx(exp_rotation(v[0]), abs=1e-7)
 
 
-def test_sections_are_in_degrees() -> None:
+def test_sections_are_in_degrees():
     section = {"sigma_position_m": (0.02, 0.02, 0.03), "sigma_attitude_deg": (0.1, 0.1, 0.2), "knot_s": 2.0}
     errors = PoseErrors.from_section(section)
     assert errors.sigma_attitude_rad == pytest.approx(np.deg2rad([0.1, 0.1, 0.2]))
     assert Knots.over(0.0, 10.0, errors).stride == SLOW + 3 * 20
 
 
-def test_a_run_without_a_point_on_a_cone_is_refused_with_what_to_check() -> None:
+def test_a_run_without_a_point_on_a_cone_is_refused_with_what_to_check():
     # A wrong sheet named as the antenna's marker put the scanner metres away: nothing met a cone any more.
     none = np.zeros(0)
     with pytest.raises(CoverageError, match=r"no point of the run .* the antenna's marker"):

@@ -60,7 +60,7 @@ def step_of(true: PoseErrors, seconds: float, seed: int) -> tuple[Step, Knots]:
     ), knots
 
 
-def test_one_width_of_the_prior_is_a_factor_of_two_three_and_five() -> None:
+def test_one_width_of_the_prior_is_a_factor_of_two_three_and_five():
     for i, name in enumerate(NAMES):
         far = changed(STATED, np.eye(7)[i])
         sizes = np.r_[
@@ -78,7 +78,7 @@ def test_one_width_of_the_prior_is_a_factor_of_two_three_and_five() -> None:
         assert far.white_share == pytest.approx(0.625 if name == "white_share" else 0.25)
 
 
-def test_a_long_run_determines_sizes_times_and_white_share() -> None:
+def test_a_long_run_determines_sizes_times_and_white_share():
     true = replace(
         STATED,
         sigma_position_m=0.5 * STATED.sigma_position_m,
@@ -102,7 +102,7 @@ def test_a_long_run_determines_sizes_times_and_white_share() -> None:
     assert facts["position_size"]["stated_within_factor"] == 2.0
 
 
-def test_a_run_that_sees_nothing_leaves_the_prior_with_its_width() -> None:
+def test_a_run_that_sees_nothing_leaves_the_prior_with_its_width():
     step, knots = step_of(STATED, 10.0, 2)
     blind = replace(
         step,
@@ -120,7 +120,7 @@ def test_a_run_that_sees_nothing_leaves_the_prior_with_its_width() -> None:
     assert found.undetermined() == NAMES
 
 
-def test_the_covariance_is_that_of_all_processes_together() -> None:
+def test_the_covariance_is_that_of_all_processes_together():
     """Law of total covariance by hand, of two processes with weights of a quarter and three quarters."""
     step, knots = step_of(STATED, 20.0, 3)
     draws = np.array([[1.0, 1.0, 0.5, 0.0, 1.0, 0.0, 0.0], [-1.0, -0.5, 0.0, 0.5, 0.0, 0.0, 1.0]])
@@ -137,7 +137,7 @@ def test_the_covariance_is_that_of_all_processes_together() -> None:
     np.testing.assert_allclose(total_covariance(step.normals, step.prior_border, knots, both), expected)
 
 
-def test_what_a_short_run_leaves_open_enlarges_the_covariance() -> None:
+def test_what_a_short_run_leaves_open_enlarges_the_covariance():
     step, knots = step_of(STATED, 8.0, 4)
     found = estimate_processes(step, knots, STATED)
     alone = step.normals.solve(knots.prior(found.errors)[0], step.prior_border).cov_border
@@ -149,6 +149,6 @@ def test_what_a_short_run_leaves_open_enlarges_the_covariance() -> None:
     np.testing.assert_array_equal(again.weights, found.weights)
 
 
-def test_a_white_share_of_zero_stays_zero() -> None:
+def test_a_white_share_of_zero_stays_zero():
     stated = replace(STATED, white_share=0.0, knot_s=0.5)
     assert changed(stated, np.zeros(6)).white_share == 0.0

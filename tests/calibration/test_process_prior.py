@@ -9,7 +9,7 @@ from thalweg.calibration.ins_lidar import PoseErrors
 from thalweg.calibration.ins_lidar.adjustment import estimate_processes
 
 
-def test_the_prior_holds_a_size_that_the_run_would_let_go() -> None:
+def test_the_prior_holds_a_size_that_the_run_would_let_go():
     """A likelihood that gains the same with each doubling of one size, and is blind to all else.
 
     With ``z`` doublings ``-2 log L = -2 z``; the prior adds ``z^2``, so the size doubles once and the rest

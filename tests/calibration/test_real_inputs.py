@@ -23,7 +23,7 @@ RUN = ["R20210512_083107000.png", "R20210512_083108000.png", "R20210512_08310900
 
 
 @pytest.fixture
-def script(repository: Path) -> Callable[[str], Callable[..., None]]:
+def script(repository):
     """The ``main`` of an entry script."""
     return lambda name: runpy.run_path(str(repository / f"workflow/scripts/{name}.py"))["main"]
 
@@ -39,7 +39,7 @@ def sheets(path: Path, *ids: int) -> Path:
 
 
 @pytest.fixture
-def recordings(tmp_path: Path, field_text: Text) -> Path:
+def recordings(tmp_path, field_text):
     """Pictures of positions and of a run; a folder with a dot, and a file beside that is no picture."""
     for k, ids in ((2, (1, 4)), (10, (5,))):
         sheets(tmp_path / f"logs/shots.2021/position_{k}.png", *ids)
@@ -69,9 +69,7 @@ def detected(main: Callable[..., None], base: Path, folders: list[Path], name: s
     return table
 
 
-def test_markers_in_folders_and_in_lists_of_files(
-    recordings: Path, script: Callable[[str], Callable[..., None]]
-) -> None:
+def test_markers_in_folders_and_in_lists_of_files(recordings, script):
     main = script("detect_markers")
     shots, run = recordings / "logs/shots.2021", recordings / "logs/run"
     by_folders = detected(main, recordings, [shots, run], "folders")
@@ -88,9 +86,7 @@ def test_markers_in_folders_and_in_lists_of_files(
         assert table.equals(by_folders)
 
 
-def test_stamps_of_a_folder_and_of_a_list_of_files(
-    recordings: Path, script: Callable[[str], Callable[..., None]]
-) -> None:
+def test_stamps_of_a_folder_and_of_a_list_of_files(recordings, script):
     run, tables = recordings / "logs/run", []
     given = {"folder": [run], "files": [run / name for name in RUN], "mixed": [run / RUN[0]]}
     # the other two from a second folder: a camera begins a new one every thousand pictures
@@ -117,7 +113,7 @@ def test_stamps_of_a_folder_and_of_a_list_of_files(
     assert tables[2].equals(tables[0])
 
 
-def test_files_and_folders_as_one_list(recordings: Path) -> None:
+def test_files_and_folders_as_one_list(recordings):
     run, shots = recordings / "logs/run", recordings / "logs/shots.2021"
     assert [p.name for p in list_images([run / RUN[2], shots])] == [
         RUN[2],
@@ -132,9 +128,7 @@ def test_files_and_folders_as_one_list(recordings: Path) -> None:
         list_images([])
 
 
-def test_the_boats_camera_from_a_file_and_from_nothing(
-    tmp_path: Path, script: Callable[[str], Callable[..., None]], field_text: Text
-) -> None:
+def test_the_boats_camera_from_a_file_and_from_nothing(tmp_path, script, field_text):
     """Two pictures are enough with a known interior orientation, and too few without."""
     (tmp_path / "field.yaml").write_text(field_text([1, 3], [4, 7]))
     rng = np.random.default_rng(4)

@@ -111,7 +111,7 @@ WRONG: list[tuple[Callable[..., Any], dict[str, Any]]] = [
 
 
 @pytest.mark.parametrize("make", GOOD, ids=lambda make: make.__qualname__)
-def test_what_is_right_is_taken(make: Callable[..., Any]) -> None:
+def test_what_is_right_is_taken(make):
     made = make(**GOOD[make])
     if not isinstance(make, type):  # a check gives nothing back, a maker what it makes
         assert (made is None) == (make.__name__ in ("check_share",))
@@ -122,6 +122,6 @@ def test_what_is_right_is_taken(make: Callable[..., Any]) -> None:
 @pytest.mark.parametrize(
     ("make", "wrong"), WRONG, ids=[f"{make.__qualname__}-{'-'.join(wrong)}" for make, wrong in WRONG]
 )
-def test_one_wrong_thing_is_enough(make: Callable[..., Any], wrong: dict[str, Any]) -> None:
+def test_one_wrong_thing_is_enough(make, wrong):
     with pytest.raises((GeometryError, InputError)):
         make(**(GOOD.get(make, {}) | wrong))

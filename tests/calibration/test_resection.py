@@ -1,7 +1,6 @@
 """Poses from marks: without approximate values, beyond 90 degrees, errors against sigmas, and refusals."""
 
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -55,7 +54,7 @@ def seen(camera: Camera, pose: Rigid, seed: int, **more: float) -> pd.DataFrame:
 
 
 @pytest.mark.parametrize("wide_deg", [30.0, 110.0])
-def test_poses_from_rays_alone(wide_deg: float) -> None:
+def test_poses_from_rays_alone(wide_deg):
     rng = np.random.default_rng(3)
     for _ in range(20):
         R, C = exp_rotation(rng.normal(0, 1.5, 3)), rng.uniform(-1, 1, 3)
@@ -71,7 +70,7 @@ def test_poses_from_rays_alone(wide_deg: float) -> None:
 
 
 @pytest.mark.parametrize("camera", [SLR, FISHEYE], ids=lambda c: c.model)
-def test_errors_are_as_the_covariance_says(camera: Camera) -> None:
+def test_errors_are_as_the_covariance_says(camera):
     squares = []
     scale = np.r_[[0.3, 0.3, 0.3, 0.3], [1e-4, 1e-4], np.zeros(len(camera.parameters) - 6)]
     for seed in range(25):
@@ -87,7 +86,7 @@ def test_errors_are_as_the_covariance_says(camera: Camera) -> None:
     assert low < np.sum(squares) < high
 
 
-def test_wrong_marks_do_not_shift_the_pose() -> None:
+def test_wrong_marks_do_not_shift_the_pose():
     for seed in range(10):
         rng = np.random.default_rng([seed, 6])
         pose = view(rng)
@@ -97,7 +96,7 @@ def test_wrong_marks_do_not_shift_the_pose() -> None:
         assert error @ np.linalg.solve(found.T_pcs_ccs.cov, error) < chi2.ppf(0.9999, 6)
 
 
-def test_derivatives_by_shared_errors() -> None:
+def test_derivatives_by_shared_errors():
     """What all pictures share is propagated by derivatives; here they are compared with solving again."""
     rng = np.random.default_rng(1)
     pose = view(rng)
@@ -116,7 +115,7 @@ def test_derivatives_by_shared_errors() -> None:
     np.testing.assert_allclose(found.by_interior @ step, change, atol=2e-6)
 
 
-def test_a_moved_marker_is_named() -> None:
+def test_a_moved_marker_is_named():
     pose = blocks.look(np.array([0.0, 0.1, 1.0]), np.array([4.0, 1.0, 1.0]))
     shown = seen(FISHEYE, pose, 1)
     marker = int(shown["marker"].mode().iloc[0])
@@ -140,7 +139,7 @@ def test_a_moved_marker_is_named() -> None:
         ),
     ],
 )
-def test_pictures_that_cannot_be_oriented(change, answer: str) -> None:
+def test_pictures_that_cannot_be_oriented(change, answer):
     marks = seen(FISHEYE, view(np.random.default_rng(2)), 2)
     with pytest.raises(GeometryError, match=answer) as caught:
         resect(FISHEYE, change(marks), exact(), where="a.jpg")
@@ -148,7 +147,7 @@ def test_pictures_that_cannot_be_oriented(change, answer: str) -> None:
     assert caught.value.cure
 
 
-def test_few_far_markers_that_leave_two_poses() -> None:
+def test_few_far_markers_that_leave_two_poses():
     """Two small sheets on one wall far away: the camera may stand left or right of their normal."""
     layout = blocks.MarkerLayout()
     wall = [
@@ -169,7 +168,7 @@ def test_few_far_markers_that_leave_two_poses() -> None:
 
 
 @pytest.mark.parametrize("camera", [SLR, FISHEYE], ids=lambda c: c.model)
-def test_the_boats_camera_is_calibrated_on_the_field(camera: Camera, tmp_path: Path) -> None:
+def test_the_boats_camera_is_calibrated_on_the_field(camera, tmp_path):
     """Interior orientation from nothing, poses and their joint covariance, with one mark in twenty wrong."""
     rng = np.random.default_rng(8)
     poses = {f"{k:02d}.jpg": view(rng) for k in range(12)}
@@ -198,7 +197,7 @@ def test_the_boats_camera_is_calibrated_on_the_field(camera: Camera, tmp_path: P
     assert table["sigma0"].between(0.3, 1.8).all()
 
 
-def test_too_few_pictures_of_the_boats_camera() -> None:
+def test_too_few_pictures_of_the_boats_camera():
     marks = seen(FISHEYE, view(np.random.default_rng(2)), 2)
     with pytest.raises(GeometryError, match="1 of 1 pictures of the boat's camera") as caught:
         orient_on_field(marks, FISHEYE, exact())
@@ -209,7 +208,7 @@ def test_too_few_pictures_of_the_boats_camera() -> None:
     assert len(orient_on_field(marks, known, exact(), weighted=True).poses) == 1
 
 
-def test_a_camera_whose_sigmas_are_partly_or_all_zero_is_taken_as_known() -> None:
+def test_a_camera_whose_sigmas_are_partly_or_all_zero_is_taken_as_known():
     """Files of OpenCV and COLMAP state no sigmas, Kalibr's none of k3: these parameters are held."""
     marks = seen(FISHEYE, view(np.random.default_rng(2)), 2)
     assert len(orient_on_field(marks, FISHEYE, exact(), weighted=True).poses) == 1
@@ -227,7 +226,7 @@ def test_a_camera_whose_sigmas_are_partly_or_all_zero_is_taken_as_known() -> Non
     ],
     ids=["left to right", "top to bottom", "in reverse order"],
 )
-def test_marks_of_another_reading_are_refused_with_what_to_check(change) -> None:
+def test_marks_of_another_reading_are_refused_with_what_to_check(change):
     rng = np.random.default_rng(3)
     marks = seen(SLR, view(rng), 3)
     assert resect(SLR, marks, exact()).sigma0 < 2.0

@@ -46,7 +46,7 @@ def circles(path: Path, *, quality: int = 95, **save: object) -> Path:
 
 
 @pytest.mark.parametrize("turn", [0, 90, 180, 270])
-def test_a_view_is_turned_upright(turn: int) -> None:
+def test_a_view_is_turned_upright(turn):
     upright = np.arange(16 * 24).reshape(16, 24)
     stored = np.rot90(upright, turn // 90)  # counter-clockwise, as the sensor lies
     file = np.zeros((40, 60), dtype=int)
@@ -55,7 +55,7 @@ def test_a_view_is_turned_upright(turn: int) -> None:
     assert (lens_view(file, lens) == upright).all()
 
 
-def test_both_circles_are_read(tmp_path: Path) -> None:
+def test_both_circles_are_read(tmp_path):
     views = read_views(circles(tmp_path / "a.jpg"), SETTINGS)
     assert {name: view.shape for name, view in views.items()} == dict.fromkeys(LENSES, (640, 640, 3))
 
@@ -98,14 +98,14 @@ def told_stitched(path: Path) -> Path:
         (other_size, "a picture of 1024 x 512 pixels"),
     ],
 )
-def test_files_that_are_no_dual_fisheye_are_refused(tmp_path: Path, make, words: str) -> None:
+def test_files_that_are_no_dual_fisheye_are_refused(tmp_path, make, words):
     with pytest.raises(InputError, match=words) as refused:
         read_views(make(tmp_path / "R20210512_103107000.jpg"), SETTINGS)
     assert "R20210512_103107000.jpg" in str(refused.value.where)
     assert refused.value.cure
 
 
-def test_boxes_lie_in_the_file_and_not_on_each_other() -> None:
+def test_boxes_lie_in_the_file_and_not_on_each_other():
     check_rig(SETTINGS)
     with pytest.raises(InputError, match="lie on each other"):
         check_rig(RigSettings(back=RigLens(box_px=(600, 0, 640, 640))))
@@ -124,12 +124,12 @@ def room(seed: int, exposures: int = 5) -> tuple:
 
 
 @pytest.fixture(scope="module")
-def calibrated() -> tuple:
+def calibrated():
     true, marks, points = room(5)
     return true, marks, points, calibrate_rig(marks, points, SETTINGS)
 
 
-def test_the_rig_is_found_within_its_covariance(calibrated: tuple) -> None:
+def test_the_rig_is_found_within_its_covariance(calibrated):
     true, _, _, found = calibrated
     error = errors_of(found, true)
     # one rig: both sides at 99.9 %; the study has the many
@@ -146,7 +146,7 @@ def test_the_rig_is_found_within_its_covariance(calibrated: tuple) -> None:
     assert not len(found.rejected)
 
 
-def test_an_exposure_that_contradicts_the_others_is_named_and_does_no_harm(calibrated: tuple) -> None:
+def test_an_exposure_that_contradicts_the_others_is_named_and_does_no_harm(calibrated):
     true, marks, points, good = calibrated
     wrong = marks.copy()
     # the lens slipped in its housing for one exposure: all its pixels turned by a milliradian
@@ -160,7 +160,7 @@ def test_an_exposure_that_contradicts_the_others_is_named_and_does_no_harm(calib
     assert errors_of(found, true)["rotation_deg"] < 0.02
 
 
-def test_lenses_without_marks_or_common_exposures_are_told(calibrated: tuple) -> None:
+def test_lenses_without_marks_or_common_exposures_are_told(calibrated):
     _, marks, points, found = calibrated
     with pytest.raises(CoverageError, match="no mark of the field in any view of the lens back"):
         calibrate_rig(marks[marks["camera"] == "front"], points, SETTINGS, nominal=found.rig.cameras)
@@ -172,7 +172,7 @@ def test_lenses_without_marks_or_common_exposures_are_told(calibrated: tuple) ->
         calibrate_rig(apart, points, SETTINGS, nominal=found.rig.cameras)
 
 
-def test_the_file_keeps_rig_and_joint_covariance(calibrated: tuple, tmp_path: Path) -> None:
+def test_the_file_keeps_rig_and_joint_covariance(calibrated, tmp_path):
     found = calibrated[3]
     file = rig_calibration_file(found, Source(run="room", method="test"))
     write_calibration(tmp_path / "rig.yaml", file)
@@ -196,7 +196,7 @@ def test_the_file_keeps_rig_and_joint_covariance(calibrated: tuple, tmp_path: Pa
         )
 
 
-def test_figures_of_colours_are_the_worst_or_the_mean_of_all_seeds() -> None:
+def test_figures_of_colours_are_the_worst_or_the_mean_of_all_seeds():
     """Errors by their size, whatever their sign; one scene that does not tell is seen."""
     right = {f"{what}_{angle}": 5.0 for what in ("colour", "free") for angle in ATTITUDES_DEG} | {
         "right_told": 0.0, "clock_told": 1.0, "clock_error": 0.01, "mount_told": 1.0, "mount_error": 0.05,
@@ -222,7 +222,7 @@ def test_figures_of_colours_are_the_worst_or_the_mean_of_all_seeds() -> None:
 
 
 @pytest.fixture(scope="module")
-def seen() -> tuple[Rigid, dict[str, np.ndarray]]:
+def seen():
     """A place near sheets of the room, and what the lenses of the rig 3 see from there."""
     true = true_rig(TwinDualFisheye(), 3)
     pose = Rigid(R=room_poses(3, 4)[1].R, shift_m=np.array([0.5, 0.45, 0.9]))
@@ -230,7 +230,7 @@ def seen() -> tuple[Rigid, dict[str, np.ndarray]]:
     return pose, {name: photographer.see(rays[name], pose @ true.T_front_lens[name]).light for name in LENSES}
 
 
-def test_marks_on_the_plane_across_their_rays_have_no_bend(seen: tuple, tmp_path: Path) -> None:
+def test_marks_on_the_plane_across_their_rays_have_no_bend(seen, tmp_path):
     """Edges are bent in a fisheye: near sheets at the rim came out towards the axis, and the base wrong."""
     true = true_rig(TwinDualFisheye(noise=0.0), 3)
     pose, light = seen
@@ -262,7 +262,7 @@ def test_marks_on_the_plane_across_their_rays_have_no_bend(seen: tuple, tmp_path
     assert inward(again).std() < 0.06
 
 
-def test_a_mirrored_file_is_told(seen: tuple, tmp_path: Path) -> None:
+def test_a_mirrored_file_is_told(seen, tmp_path):
     picture = true_rig(TwinDualFisheye(), 3).file_of(seen[1], np.random.default_rng(0), 1.3)
     mirrored = np.concatenate([picture[:, :640][:, ::-1], picture[:, 640:][:, ::-1]], axis=1)
     path = tmp_path / "R20210511_103107000.jpg"
@@ -276,7 +276,7 @@ def test_a_mirrored_file_is_told(seen: tuple, tmp_path: Path) -> None:
 # ---------------------------------------------------------------- a published rig
 
 
-def test_the_published_unified_model_of_a_theta_s() -> None:
+def test_the_published_unified_model_of_a_theta_s():
     """Theta S at 1280 x 640: u 547.23 px, xi 1.9267 (unified model); four coefficients follow it."""
     focal, xi = 547.23, 1.9267
     t = np.deg2rad(np.linspace(0.5, 96, 192))

@@ -1,7 +1,5 @@
 """Crossings of a real board: what the fit says of its own errors."""
 
-from pathlib import Path
-
 import cv2
 import numpy as np
 import pytest
@@ -41,7 +39,7 @@ def smaller(picture: np.ndarray, times: int, *, jpeg: bool) -> np.ndarray:
     return np.asarray(out)
 
 
-def test_errors_of_crossings_in_small_photographs_are_as_stated(data_dir: Path) -> None:
+def test_errors_of_crossings_in_small_photographs_are_as_stated(data_dir):
     """Three photographs of a board (ACFR), 40 to 64 px a square, made 4 to 16 times smaller.
 
     Each board errs as a whole, too, by up to 0.03 px, so these are fewer errors than crossings.

@@ -10,7 +10,7 @@ from thalweg.core import GeometryError
 NAMES = ("A", "B", "C")
 
 
-def test_two_equal_bars_are_their_mean() -> None:
+def test_two_equal_bars_are_their_mean():
     """2.000 and 2.002 m by certificates of 1 mm, both 1 unit long: 2.001 with 1 mm / sqrt 2."""
     scale = scale_of(NAMES[:2], np.array([2.0, 2.002]), np.full(2, 1e-3), np.ones(2), np.zeros((2, 2)))
     assert scale.factor == pytest.approx(2.001, abs=1e-12)
@@ -21,7 +21,7 @@ def test_two_equal_bars_are_their_mean() -> None:
     np.testing.assert_allclose(scale.sigma_off_m, np.sqrt(2) * 1e-3)
 
 
-def test_the_network_has_its_part_in_the_sigma() -> None:
+def test_the_network_has_its_part_in_the_sigma():
     """A bar of 3 m is 1.5 units long: 2 m a unit. Certificate 3 mm, network 0.002 units = 4 mm: 5 mm."""
     scale = scale_of(NAMES[:1], np.array([3.0]), np.array([0.003]), np.array([1.5]), np.array([[0.002**2]]))
     assert scale.factor == pytest.approx(2.0)
@@ -29,7 +29,7 @@ def test_the_network_has_its_part_in_the_sigma() -> None:
     assert (scale.off_m[0], np.isnan(scale.sigma_off_m[0])) == (0.0, True)
 
 
-def test_a_longer_bar_counts_more() -> None:
+def test_a_longer_bar_counts_more():
     """Weights by length over sigma, squared: 1 and 9, so (1.01 + 9 x 1.00) / 10."""
     scale = scale_of(
         NAMES[:2], np.array([1.01, 3.0]), np.full(2, 0.01), np.array([1.0, 3.0]), np.zeros((2, 2))
@@ -39,7 +39,7 @@ def test_a_longer_bar_counts_more() -> None:
 
 
 @pytest.mark.parametrize(("share", "fits"), [(0.99, True), (1.01, False)])
-def test_two_bars_contradict_beyond_one_degree_of_freedom(share: float, fits: bool) -> None:
+def test_two_bars_contradict_beyond_one_degree_of_freedom(share, fits):
     """15.137 is exceeded by 0.01 % of chi-squares of one degree (Abramowitz and Stegun 1964, table 26.8)."""
     assert chi2.isf(1e-4, 1) == pytest.approx(15.137, abs=1e-3)
     off = 1e-3 * np.sqrt(2 * 15.137 * share)
@@ -51,7 +51,7 @@ def test_two_bars_contradict_beyond_one_degree_of_freedom(share: float, fits: bo
         scale_of(NAMES[:2], *bars)
 
 
-def test_of_three_bars_the_wrong_one_is_left_out() -> None:
+def test_of_three_bars_the_wrong_one_is_left_out():
     stated = np.array([2.0, 2.02, 2.001])
     scale = scale_of(NAMES, stated, np.full(3, 1e-3), np.ones(3), np.zeros((3, 3)))
     assert scale.used.tolist() == [True, False, True]
@@ -64,13 +64,13 @@ def test_of_three_bars_the_wrong_one_is_left_out() -> None:
         scale_of((), np.empty(0), np.empty(0), np.empty(0), np.empty((0, 0)))
 
 
-def test_two_bars_that_contradict_are_told_with_the_difference() -> None:
+def test_two_bars_that_contradict_are_told_with_the_difference():
     """Bars of 2 m, 1.00 and 1.01 units long: by the first one a unit is 2 m, and the second bar 2.02 m."""
     with pytest.raises(GeometryError, match=r"by A, B is \+20\.00 mm longer than its 2\.00000 m"):
         scale_of(NAMES[:2], np.array([2.0, 2.0]), np.full(2, 1e-3), np.array([1.0, 1.01]), np.zeros((2, 2)))
 
 
-def test_how_far_a_bar_is_off_by_another_one() -> None:
+def test_how_far_a_bar_is_off_by_another_one():
     """Bars of 2.01 and 3 m, 4 and 6 units long: by the second a unit is 0.5 m, and the first 10 mm too short.
 
     Its sigma: certificate 20 mm, network 0.01 units, and the scale by the second (30 mm, 0.02 units) times 4.

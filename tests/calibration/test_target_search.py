@@ -28,7 +28,7 @@ def met(scanner_m: np.ndarray, n: int, rng: np.random.Generator, lowest_m: float
     return np.stack([radius * np.cos(angle), radius * np.sin(angle), 2.0 - depth], axis=1)
 
 
-def test_the_balance_counts_beams_that_met_and_that_went_through() -> None:
+def test_the_balance_counts_beams_that_met_and_that_went_through():
     """A point on the surface is one more, behind it one less, before it none; six centimetres count."""
     rng = np.random.default_rng(7)
     pose = AT[0] @ MOUNT
@@ -53,7 +53,7 @@ def test_the_balance_counts_beams_that_met_and_that_went_through() -> None:
     np.testing.assert_allclose(spheres.radius_m, np.hypot(0.75, 1.5 * np.tan(np.pi / 6)))
 
 
-def test_a_board_is_met_from_its_front_within_its_sides_in_its_own_scan() -> None:
+def test_a_board_is_met_from_its_front_within_its_sides_in_its_own_scan():
     front = Rigid(R=exp_rotation(np.array([0.2, -0.3, 0.1])), shift_m=np.array([0.5, 0.2, 0.0]))
     pose = Rigid(R=exp_rotation(np.array([0.1, 0.2, 2.0])), shift_m=front.apply(np.array([0.3, -0.4, 3.0])))
     at = pose @ MOUNT.inverse()
@@ -78,7 +78,7 @@ def test_a_board_is_met_from_its_front_within_its_sides_in_its_own_scan() -> Non
     assert len(later.near(1, points, pose, 0.0, 500)) > len(later.near(0, points, pose, 0.0, 500))
 
 
-def test_beams_near_a_target_are_thinned_evenly() -> None:
+def test_beams_near_a_target_are_thinned_evenly():
     pose = AT[0] @ MOUNT
     arm = -pose.shift_m
     beam = np.array([arm, -arm, arm + np.array([0.0, 0.0, 3.0])])
@@ -92,7 +92,7 @@ def test_beams_near_a_target_are_thinned_evenly() -> None:
     np.testing.assert_array_equal(targets.near(0, points, pose, 0.0, 5), points[::25])
 
 
-def test_tries_fill_a_normal_distribution_and_begin_with_the_sequence_of_roberts() -> None:
+def test_tries_fill_a_normal_distribution_and_begin_with_the_sequence_of_roberts():
     tries = normal_set(4000)
     base = np.roots([1, 0, 0, 0, 0, 0, -1, -1])
     ratio = float(base[np.isreal(base)].real[0])
@@ -109,7 +109,7 @@ def test_tries_fill_a_normal_distribution_and_begin_with_the_sequence_of_roberts
     np.testing.assert_allclose(within.sigmas, [0.3] * 3 + [np.deg2rad(6.0)] * 3)
 
 
-def test_the_search_finds_a_scanner_that_no_noise_hides() -> None:
+def test_the_search_finds_a_scanner_that_no_noise_hides():
     """Four boards, each in a scan: to 5 mm and a tenth of a degree, of 8 cm and 3 degrees."""
     rng = np.random.default_rng(3)
     poses, at, scans = [], [], []

@@ -121,7 +121,7 @@ def compared(before: Epoch, after: Epoch, settings: Deformation = SETTINGS) -> C
 
 
 @pytest.mark.parametrize("slope", [0.0, 0.4, 1.0, 3.0])
-def test_core_points_stand_for_the_area_of_the_surface(slope: float) -> None:
+def test_core_points_stand_for_the_area_of_the_surface(slope):
     rng = np.random.default_rng(3)
     east, north = rng.uniform(0.0, 20.0, (2, 150_000))
     height = np.column_stack([east, north, 0.3 * east + slope * north])
@@ -131,7 +131,7 @@ def test_core_points_stand_for_the_area_of_the_surface(slope: float) -> None:
     assert set(cores["surface"]) == {1}
 
 
-def test_core_points_also_stand_on_the_last_surface_where_the_first_is_far() -> None:
+def test_core_points_also_stand_on_the_last_surface_where_the_first_is_far():
     rng = np.random.default_rng(4)
     first = bank(rng, 20_000)
     moved = first.copy()
@@ -148,7 +148,7 @@ def test_core_points_also_stand_on_the_last_surface_where_the_first_is_far() -> 
 # ---------------------------------------------------------------- registration
 
 
-def test_a_shift_of_five_centimetres_is_found_and_needed() -> None:
+def test_a_shift_of_five_centimetres_is_found_and_needed():
     before, after = two_epochs(noise_m=0.01, sigma_m=0.005)
     shift = np.array([0.03, -0.05, 0.02])
     found = compared(before, replace(after, xyz_m=after.xyz_m + shift)).registration
@@ -159,7 +159,7 @@ def test_a_shift_of_five_centimetres_is_found_and_needed() -> None:
     assert not found.facts["not_shown"]
 
 
-def test_what_the_ground_does_not_show_is_left_alone_and_named() -> None:
+def test_what_the_ground_does_not_show_is_left_alone_and_named():
     rng = np.random.default_rng(5)
     before, after = (epoch(bank(rng, 20_000, waves_m=0.0), noise_m=0.01, sigma_m=0.01) for _ in range(2))
     found = compared(before, replace(after, xyz_m=after.xyz_m + np.array([0.3, 0.0, 0.0]))).registration
@@ -169,7 +169,7 @@ def test_what_the_ground_does_not_show_is_left_alone_and_named() -> None:
     assert found.parameters[0] == pytest.approx(0.0, abs=0.01)
 
 
-def test_epochs_far_apart_and_stable_ground_that_moved_are_refused() -> None:
+def test_epochs_far_apart_and_stable_ground_that_moved_are_refused():
     before, after = two_epochs(noise_m=0.005, sigma_m=0.003)
     far = replace(after, xyz_m=after.xyz_m + np.array([0.0, 0.0, 0.8]))
     with pytest.raises(GeometryError, match=r"lies 0\.[78]\d m off the first.*largest_shift_m"):
@@ -188,7 +188,7 @@ def test_epochs_far_apart_and_stable_ground_that_moved_are_refused() -> None:
 # ---------------------------------------------------------------- sigmas
 
 
-def test_distances_and_volumes_err_as_predicted() -> None:
+def test_distances_and_volumes_err_as_predicted():
     """Twelve pairs with drawn errors: normalised squares within the 99 % band of their own draws."""
     first, second = two_epochs(n=6_000, sigma_m=0.03, sigma_rad=0.002, noise_m=0.02, time_s=6.0)
     rng = np.random.default_rng(7)
@@ -211,7 +211,7 @@ def test_distances_and_volumes_err_as_predicted() -> None:
     assert np.sum(np.square(alone)) > 2.0 * high  # cells taken as independent
 
 
-def test_predicted_variances_are_those_of_draws() -> None:
+def test_predicted_variances_are_those_of_draws():
     first, second = two_epochs(n=6_000, sigma_m=0.03, sigma_rad=0.002, noise_m=0.02, time_s=6.0)
     found = compared(first, second, SETTINGS.replace(core_spacing_m=1.0))
     draws = np.array(list(found.draws(600, seed=3)))
@@ -223,7 +223,7 @@ def test_predicted_variances_are_those_of_draws() -> None:
     assert drawn.var(axis=0) == pytest.approx(sum(found.variances(products)), rel=0.25)
 
 
-def test_common_mounts_cancel_between_epochs() -> None:
+def test_common_mounts_cancel_between_epochs():
     """The same error of the lever arm in both epochs moves both clouds alike."""
     first, second = two_epochs(noise_m=0.01)
 
@@ -253,7 +253,7 @@ def full(before: Epoch, after: Epoch, settings: Deformation = SETTINGS):
     return table, patches, *estimate_volumes(table, found, settings, 1), seen
 
 
-def test_a_displaced_patch_has_its_volume() -> None:
+def test_a_displaced_patch_has_its_volume():
     before, after = two_epochs(n=60_000, noise_m=0.01, sigma_m=0.005)
     moved = after.xyz_m.copy()
     inside = (moved[:, 0] > 12.0) & (moved[:, 0] < 18.0)
@@ -271,7 +271,7 @@ def test_a_displaced_patch_has_its_volume() -> None:
     assert (table["state"] == "erosion").sum() > 100
 
 
-def test_what_was_not_seen_is_not_eroded_but_free_space_is() -> None:
+def test_what_was_not_seen_is_not_eroded_but_free_space_is():
     """The second epoch has a hole in its cloud, and another place where its beams went through."""
     before, after = two_epochs(n=40_000, noise_m=0.01)
     xyz = after.xyz_m
@@ -297,7 +297,7 @@ def test_what_was_not_seen_is_not_eroded_but_free_space_is() -> None:
     assert volumes["not_seen_m2"].iloc[0] > 15.0
 
 
-def test_reasons_of_not_seen() -> None:
+def test_reasons_of_not_seen():
     """A wall behind another one, a place below the water, one out of range and one at a grazing angle."""
     rng = np.random.default_rng(8)
     east, up = rng.uniform(0.0, 30.0, 30_000), rng.uniform(0.5, 8.0, 30_000)
@@ -313,7 +313,7 @@ def test_reasons_of_not_seen() -> None:
     assert seen["reason_1"].tolist() == ["", "occlusion", "water", "range", "incidence"]
 
 
-def test_beams_count_only_where_they_pass_the_surface_and_end_behind_it() -> None:
+def test_beams_count_only_where_they_pass_the_surface_and_end_behind_it():
     rng = np.random.default_rng(9)
     n = 40_000
     wall = epoch(np.column_stack([rng.uniform(0, 30, n), np.full(n, 8.0), rng.uniform(0.5, 4.5, n)]))
@@ -326,7 +326,7 @@ def test_beams_count_only_where_they_pass_the_surface_and_end_behind_it() -> Non
     assert through[2] == 0  # behind it
 
 
-def test_plants_and_objects_are_no_erosion() -> None:
+def test_plants_and_objects_are_no_erosion():
     before, after = two_epochs(n=60_000, noise_m=0.01, sigma_m=0.003)
     rng = np.random.default_rng(10)
     xyz = after.xyz_m.copy()
@@ -341,7 +341,7 @@ def test_plants_and_objects_are_no_erosion() -> None:
     assert "erosion" not in set(patches["what"])
 
 
-def test_the_family_of_all_distances_keeps_its_level() -> None:
+def test_the_family_of_all_distances_keeps_its_level():
     before, after = two_epochs(n=6_000, sigma_m=0.03, noise_m=0.02)
     settings = SETTINGS.replace(core_spacing_m=1.0, control="family", draws=100)
     pair = measure_pair(place_core_points([before, after], settings, EVERYWHERE), before, after, settings)
@@ -360,7 +360,7 @@ def test_the_family_of_all_distances_keeps_its_level() -> None:
     assert (table["significant"] == (z >= limit)).all()
 
 
-def test_a_series_shows_retreat_and_an_epoch_that_jumps() -> None:
+def test_a_series_shows_retreat_and_an_epoch_that_jumps():
     rng = np.random.default_rng(11)
     errors = {"sigma_m": 0.005, "noise_m": 0.01}
     epochs = []
@@ -386,7 +386,7 @@ def several(n: int, rng: np.random.Generator, **errors: float) -> list[Epoch]:
     return [epoch(bank(rng, 5_000), name=f"epoch {i}", start_gps_s=i * YEAR_S, **errors) for i in range(n)]
 
 
-def test_all_epochs_are_registered_in_one_adjustment_that_closes() -> None:
+def test_all_epochs_are_registered_in_one_adjustment_that_closes():
     """Shifts of four epochs, a quarter of the bank that moved in one, and a hole in another."""
     rng = np.random.default_rng(31)
     errors = {"sigma_m": 0.004, "noise_m": 0.01}
@@ -417,7 +417,7 @@ def test_all_epochs_are_registered_in_one_adjustment_that_closes() -> None:
     assert np.nanmax(np.abs(np.nanmedian(found.height_m[:, still], axis=1))) < 0.01
 
 
-def test_two_epochs_in_a_network_are_registered_as_a_pair() -> None:
+def test_two_epochs_in_a_network_are_registered_as_a_pair():
     before, after = two_epochs(n=8_000, sigma_m=0.01, noise_m=0.01)
     after = replace(after, xyz_m=after.xyz_m + np.array([0.03, 0.0, -0.02]))
     settings = SETTINGS.replace(core_spacing_m=1.0)
@@ -437,7 +437,7 @@ def test_two_epochs_in_a_network_are_registered_as_a_pair() -> None:
     assert sigma == pytest.approx(np.sqrt(np.diag(alone.cov))[[0, 1, 2, 5]], rel=0.1)
 
 
-def test_a_network_predicts_the_errors_of_its_heights() -> None:
+def test_a_network_predicts_the_errors_of_its_heights():
     """Three epochs, fields drawn by the library: registered means and their weighted sums."""
     rng = np.random.default_rng(33)
     epochs = several(3, rng, sigma_m=0.03, sigma_rad=0.002, noise_m=0.02, time_s=6.0)
@@ -470,7 +470,7 @@ def test_a_network_predicts_the_errors_of_its_heights() -> None:
     assert np.var(sums, axis=0) == pytest.approx(network.variances(fields, white, products), rel=0.3)
 
 
-def test_a_stable_area_that_moved_between_two_of_the_epochs_is_refused() -> None:
+def test_a_stable_area_that_moved_between_two_of_the_epochs_is_refused():
     rng = np.random.default_rng(34)
     epochs = several(3, rng, sigma_m=0.003, noise_m=0.005)
     moved = epochs[2].xyz_m.copy()
@@ -487,7 +487,7 @@ def test_a_stable_area_that_moved_between_two_of_the_epochs_is_refused() -> None
         series_of_epochs(place_core_points(far, settings, EVERYWHERE), far, settings.replace(stable=None))
 
 
-def test_a_tenth_of_the_correlation_time_and_half_the_sigma_are_seen() -> None:
+def test_a_tenth_of_the_correlation_time_and_half_the_sigma_are_seen():
     """Forty pairs of unchanged ground: the mean of the bank errs more than these fields say."""
     first, second = two_epochs(n=6_000, sigma_m=0.03, noise_m=0.01, time_s=10.0)
     settings = SETTINGS.replace(core_spacing_m=1.0, registration="none")
@@ -517,7 +517,7 @@ def test_a_tenth_of_the_correlation_time_and_half_the_sigma_are_seen() -> None:
     assert sum(right["half the sigma"]) > high
 
 
-def test_both_lines_of_a_bank_retreat_by_what_was_cut_off_and_their_sigmas_hold() -> None:
+def test_both_lines_of_a_bank_retreat_by_what_was_cut_off_and_their_sigmas_hold():
     """A third of the bank moves by 0.6 m; the movement of the other stretches is error, forty times."""
     settings = SETTINGS.replace(core_spacing_m=1.0, registration="none", line_height_m=1.5)
     rng = np.random.default_rng(21)

@@ -38,7 +38,7 @@ def a_file(path: Path, xyz: ArrayF, epsg: int | None = 25833) -> Path:
     return path
 
 
-def test_erosion_and_deposition_are_found_where_they_are(tmp_path: Path) -> None:
+def test_erosion_and_deposition_are_found_where_they_are(tmp_path):
     before, after = a_file(tmp_path / "a.laz", ground(1)), a_file(tmp_path / "b.laz", ground(2, -0.08))
     table, frame, notes = compare_clouds(
         before, after, OPTIONS, core_every=20, sigma_m=(0.01, 0.01), sigma_registration_m=0.005
@@ -64,7 +64,7 @@ def test_erosion_and_deposition_are_found_where_they_are(tmp_path: Path) -> None
     assert (back.loc[back["east_m"].between(440_021.5, 440_029), "state"] == "deposition").all()
 
 
-def test_white_noise_keeps_its_level_without_change(tmp_path: Path) -> None:
+def test_white_noise_keeps_its_level_without_change(tmp_path):
     """Without shared errors roughness is all there is: 5 % of the core points, or no discovery."""
     before, after = a_file(tmp_path / "a.laz", ground(3)), a_file(tmp_path / "b.laz", ground(4))
     options = Comparison(scales_m=(2.0,), radius_m=0.5, half_length_m=3.0, control="none")
@@ -78,7 +78,7 @@ def test_white_noise_keeps_its_level_without_change(tmp_path: Path) -> None:
     assert controlled["significant"].mean() < 0.01
 
 
-def test_places_that_an_epoch_has_not_seen_are_no_erosion(tmp_path: Path) -> None:
+def test_places_that_an_epoch_has_not_seen_are_no_erosion(tmp_path):
     full, part = ground(1), ground(2)
     part = part[part[:, 0] < 440_015.0]
     before, after = a_file(tmp_path / "a.laz", full), a_file(tmp_path / "b.laz", part)
@@ -89,7 +89,7 @@ def test_places_that_an_epoch_has_not_seen_are_no_erosion(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize("tiles", [3, 7])
-def test_pieces_make_the_same_distances(tiles: int) -> None:
+def test_pieces_make_the_same_distances(tiles):
     place = np.array([440_000.0, 5_640_000.0, 0.0])
     before, after = ground(1) - place, ground(2, -0.08) - place
     after = after[after[:, 0] < 25.0]  # the last pieces have no points of the second epoch
@@ -103,7 +103,7 @@ def test_pieces_make_the_same_distances(tiles: int) -> None:
     assert np.isnan(whole.distance_m).any()
 
 
-def test_other_frames_and_clouds_apart_are_refused(tmp_path: Path) -> None:
+def test_other_frames_and_clouds_apart_are_refused(tmp_path):
     before = a_file(tmp_path / "a.laz", ground(1))
     with pytest.raises(InputError, match=r"UTM zone 33N.*UTM zone 32N.*one coordinate system"):
         compare_clouds(before, a_file(tmp_path / "b.laz", ground(2), epsg=25832), OPTIONS)
@@ -115,7 +115,7 @@ def test_other_frames_and_clouds_apart_are_refused(tmp_path: Path) -> None:
         compare_clouds(before, apart, OPTIONS)
 
 
-def test_single_points_have_no_sigma_and_no_verdict(tmp_path: Path) -> None:
+def test_single_points_have_no_sigma_and_no_verdict(tmp_path):
     """A cylinder with one point has no roughness: nothing is known of such a distance."""
     before, after = a_file(tmp_path / "a.laz", ground(1)), a_file(tmp_path / "b.laz", ground(2, 3.0)[::20])
     options = Comparison(scales_m=(2.0,), radius_m=0.8, half_length_m=5.0, least_points=1)
@@ -128,9 +128,7 @@ def test_single_points_have_no_sigma_and_no_verdict(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("every", ["0", "-3", "some"])
-def test_core_points_at_each_none_are_refused(
-    every: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_core_points_at_each_none_are_refused(every, tmp_path, capsys):
     before = a_file(tmp_path / "a.laz", ground(1))
     with pytest.raises(SystemExit):
         main(["compare-clouds", str(before), str(before), "-o", "x.csv", "--core-every", every])
@@ -139,7 +137,7 @@ def test_core_points_at_each_none_are_refused(
         compare_clouds(before, before, OPTIONS, core_every=0)
 
 
-def test_an_empty_cloud_is_refused(tmp_path: Path) -> None:
+def test_an_empty_cloud_is_refused(tmp_path):
     before, empty = a_file(tmp_path / "a.laz", ground(1)), tmp_path / "b.laz"
     empty.write_bytes(b"")
     with pytest.raises(InputError, match=r"b\.laz"):
@@ -147,7 +145,7 @@ def test_an_empty_cloud_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("head", ["", "x y z\n", "# cloud\nX,Y,Z\n"])
-def test_tables_of_coordinates_are_read(tmp_path: Path, head: str) -> None:
+def test_tables_of_coordinates_are_read(tmp_path, head):
     mark = "," if "," in head else " "
     path = tmp_path / "points.xyz"
     path.write_text(head + f"1.5{mark}2{mark}3{mark}7\n4{mark}5{mark}6{mark}8\n")
@@ -157,7 +155,7 @@ def test_tables_of_coordinates_are_read(tmp_path: Path, head: str) -> None:
         read_points(path)
 
 
-def test_the_command_writes_what_it_prints(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_writes_what_it_prints(tmp_path, capsys):
     before, after = a_file(tmp_path / "a.laz", ground(1)), a_file(tmp_path / "b.laz", ground(2, 0.3))
     words = [
         "compare-clouds",
@@ -188,7 +186,7 @@ def test_the_command_writes_what_it_prints(tmp_path: Path, capsys: pytest.Captur
     assert "suffix '.txt'" in capsys.readouterr().err
 
 
-def test_the_sigma_of_a_mean_is_that_of_all_pairs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_sigma_of_a_mean_is_that_of_all_pairs(tmp_path, capsys):
     before, after = a_file(tmp_path / "a.laz", ground(1)), a_file(tmp_path / "b.laz", ground(2))
     table, _, _ = compare_clouds(
         before, after, OPTIONS, core_every=10, sigma_m=(0.03, 0.04), sigma_registration_m=0.01
@@ -214,7 +212,7 @@ def test_the_sigma_of_a_mean_is_that_of_all_pairs(tmp_path: Path, capsys: pytest
     assert "standard deviation of the mean of 0.0" in capsys.readouterr().out
 
 
-def test_frames_are_one_if_they_are_equal(tmp_path: Path) -> None:
+def test_frames_are_one_if_they_are_equal(tmp_path):
     """Two local frames of one origin are one; of two origins, or beside a map grid, they are not."""
     here = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
     again = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
@@ -233,7 +231,7 @@ def test_frames_are_one_if_they_are_equal(tmp_path: Path) -> None:
             one_frame([one, wrong])
 
 
-def test_points_without_all_coordinates_are_left_out(tmp_path: Path) -> None:
+def test_points_without_all_coordinates_are_left_out(tmp_path):
     path = tmp_path / "cloud.xyz"
     path.write_text("1 2 3\n4 5 nan\n6 7 8\n")
     found = read_points(path)
@@ -246,7 +244,7 @@ def test_points_without_all_coordinates_are_left_out(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("share", "told"), [(15, False), (25, True)])
-def test_from_twenty_times_the_density_on_it_is_told(tmp_path: Path, share: int, told: bool) -> None:
+def test_from_twenty_times_the_density_on_it_is_told(tmp_path, share, told):
     """One cloud on a raster of 0.2 m, the other with every 15th or 25th of its points."""
     raster = np.stack(np.meshgrid(np.arange(0, 30, 0.2), np.arange(0, 20, 0.2)), axis=-1).reshape(-1, 2)
     dense = np.column_stack([raster + np.array([440_000.0, 5_640_000.0]), 0.01 * np.sin(7 * raster[:, 0])])
@@ -258,9 +256,7 @@ def test_from_twenty_times_the_density_on_it_is_told(tmp_path: Path, share: int,
         assert any(f"The {word} cloud is" in note for note in notes) is told
 
 
-def test_distances_to_nearest_points_and_to_their_plane(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_distances_to_nearest_points_and_to_their_plane(tmp_path, capsys):
     """By brute force; no change is no zero, and a lift is seen where it exceeds the spacing."""
     before, after = ground(1)[:3000], ground(2, 0.5)[:400]
     table = cloud_to_cloud(before, after, towards=np.array([0.0, 0.0, 1.0]))
@@ -294,7 +290,7 @@ def test_distances_to_nearest_points_and_to_their_plane(
 
 
 @pytest.mark.real
-def test_a_surface_model_is_a_reference(data_dir: Path) -> None:
+def test_a_surface_model_is_a_reference(data_dir):
     """Two epochs of the beach of Sandpyper: distances from the raster of the first, as libigl has them.
 
     libigl 2.6: mean of the sizes 0.424067 m, root mean square 0.648226 m, over 72,402 points three cells and
@@ -321,7 +317,7 @@ def test_a_surface_model_is_a_reference(data_dir: Path) -> None:
 
 
 @pytest.mark.parametrize("suffix", ["e57", "pcd", "ply", "laz", "tif"])
-def test_a_cloud_of_any_format_has_the_same_distances(tmp_path: Path, suffix: str) -> None:
+def test_a_cloud_of_any_format_has_the_same_distances(tmp_path, suffix):
     """A slope of 1:10 and points 5 cm above it: 5 cm / sqrt(1.01) in each format, of cloud and reference."""
     frame = CRS.from_epsg(25833)
     x, y = (axis.ravel() for axis in np.meshgrid(np.arange(20.5, 60.5), np.arange(60.5, 20.5, -1.0)))

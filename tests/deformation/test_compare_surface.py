@@ -15,7 +15,7 @@ MAP_M = np.array([412_000.0, 5_651_000.0, 150.0])
 
 
 @pytest.fixture
-def no_page(monkeypatch: pytest.MonkeyPatch) -> None:
+def no_page(monkeypatch):
     """The page of pictures takes longer than the distances: one test makes it."""
     page = SimpleNamespace(write=lambda _: None)
     monkeypatch.setattr("thalweg.figures.accuracy.cloud_page", lambda *_, **__: page)
@@ -37,9 +37,7 @@ def points_text(path: Path, points: np.ndarray) -> Path:
     return path
 
 
-def test_a_mesh_gives_signed_distances_in_map_coordinates(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_mesh_gives_signed_distances_in_map_coordinates(tmp_path, capsys):
     rng = np.random.default_rng(3)
     corners = MAP_M + 10.0 * np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
     mesh = write_mesh(tmp_path / "mesh.ply", corners, [(0, 1, 2), (0, 2, 3)])
@@ -67,7 +65,7 @@ def wall(rng: np.random.Generator, away_m: float, n: int, noise_m: float) -> np.
 
 
 @pytest.mark.usefixtures("no_page")
-def test_a_cloud_is_meshed_and_its_front_is_where_it_was_seen_from(tmp_path: Path) -> None:
+def test_a_cloud_is_meshed_and_its_front_is_where_it_was_seen_from(tmp_path):
     rng = np.random.default_rng(4)
     reference = points_text(tmp_path / "tls.xyz", MAP_M + wall(rng, 0.0, 15_000, 0.003))
     cloud = points_text(tmp_path / "boat.txt", MAP_M + wall(rng, 0.04, 4_000, 0.01))
@@ -85,7 +83,7 @@ def test_a_cloud_is_meshed_and_its_front_is_where_it_was_seen_from(tmp_path: Pat
     assert set(cloud_out["used"]) <= {0, 1}
 
 
-def test_files_of_two_places_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_files_of_two_places_are_refused(tmp_path, capsys):
     corners = 10.0 * np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
     mesh = write_mesh(tmp_path / "mesh.ply", corners, [(0, 1, 2), (0, 2, 3)])
     high = points_text(tmp_path / "high.xyz", np.array([[5.0, 5, 43], [4, 4, 43]]))

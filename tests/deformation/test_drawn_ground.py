@@ -88,7 +88,7 @@ def net_of(
 
 
 @pytest.mark.parametrize("stated", [{}, {"sigma_m": 0.02, "correlation_m": 10.0}])
-def test_a_beach_that_moved_is_not_taken_off(tmp_path: Path, stated: dict[str, float]) -> None:
+def test_a_beach_that_moved_is_not_taken_off(tmp_path, stated):
     """Nine tenths went down by 20 cm: what most agrees on, and no motion of the survey."""
     _, epochs, cores = two_models(tmp_path, heights(np.random.default_rng(1), 0.0, -0.2), **stated)
     net, found = net_of(cores, epochs, SETTINGS)
@@ -108,7 +108,7 @@ def test_a_beach_that_moved_is_not_taken_off(tmp_path: Path, stated: dict[str, f
     assert whole.startswith("Nothing is left out of a and b by polygons (leave_out): water, breaking waves")
 
 
-def test_a_stated_error_of_all_heights_takes_the_place_of_what_is_agreed_on(tmp_path: Path) -> None:
+def test_a_stated_error_of_all_heights_takes_the_place_of_what_is_agreed_on(tmp_path):
     stated = {"sigma_m": 0.0, "correlation_m": 0.0, "sigma_common_m": 0.03}
     statements, epochs, cores = two_models(tmp_path, heights(np.random.default_rng(1), 0.0, -0.2), **stated)
     net, found = net_of(cores, epochs, SETTINGS)
@@ -121,7 +121,7 @@ def test_a_stated_error_of_all_heights_takes_the_place_of_what_is_agreed_on(tmp_
     assert by_ground["sigma_m3"] < 0.3 * net["sigma_m3"]
 
 
-def test_both_volumes_lose_the_height_of_drawn_ground(tmp_path: Path) -> None:
+def test_both_volumes_lose_the_height_of_drawn_ground(tmp_path):
     """The survey lies 8 cm high, areas by 2 cm more or less; nine tenths of the ground went down by 20 cm."""
     patches = 0.02 * np.array([1.0, -1.0, 0.5, -0.5, 1.0, -1.0])
     after = heights(np.random.default_rng(1), 0.08, -0.2, patches)
@@ -146,7 +146,7 @@ def test_both_volumes_lose_the_height_of_drawn_ground(tmp_path: Path) -> None:
     assert np.std(total) == pytest.approx(float(np.sqrt(variance[0])), rel=0.15)
 
 
-def test_sigma_comes_from_areas_and_holds_its_interval(tmp_path: Path) -> None:
+def test_sigma_comes_from_areas_and_holds_its_interval(tmp_path):
     """Areas err by 3 cm each, of all of their cells: 180 cells are six errors."""
     rng = np.random.default_rng(20261128)
     _, epochs, cores = two_models(tmp_path, heights(rng, 0.0, 0.0))
@@ -165,7 +165,7 @@ def test_sigma_comes_from_areas_and_holds_its_interval(tmp_path: Path) -> None:
     assert np.median(sigmas) == pytest.approx(0.03 / np.sqrt(6.0) * 2.571 / 1.96, rel=0.25)
 
 
-def test_two_areas_without_a_stated_sigma_give_no_verdict(tmp_path: Path) -> None:
+def test_two_areas_without_a_stated_sigma_give_no_verdict(tmp_path):
     _, epochs, cores = two_models(tmp_path, heights(np.random.default_rng(1), 0.05, -0.2))
     facts = register_pair(measure_pair(cores, *epochs, drawn(2)), drawn(2)).facts
     assert facts["sigma"] == "unknown"
@@ -173,7 +173,7 @@ def test_two_areas_without_a_stated_sigma_give_no_verdict(tmp_path: Path) -> Non
     assert facts["sigmas"]["up_m"] > 0.004  # that of one place, not of sixty
 
 
-def test_too_little_ground_and_a_large_height_are_refused(tmp_path: Path) -> None:
+def test_too_little_ground_and_a_large_height_are_refused(tmp_path):
     _, epochs, cores = two_models(tmp_path, heights(np.random.default_rng(1), 0.7, 0.0))
     pair = measure_pair(cores, *epochs, SETTINGS)
     with pytest.raises(GeometryError, match=r"'b' lies 0\.70 m off 'a' on stable ground"):
@@ -185,7 +185,7 @@ def test_too_little_ground_and_a_large_height_are_refused(tmp_path: Path) -> Non
     assert told.value.cure
 
 
-def test_a_network_of_two_is_the_pair(tmp_path: Path) -> None:
+def test_a_network_of_two_is_the_pair(tmp_path):
     _, epochs, cores = two_models(tmp_path, heights(np.random.default_rng(1), 0.08, -0.2))
     for settings in (drawn(), SETTINGS):
         moved = register_pair(measure_pair(cores, *epochs, settings), settings)
@@ -197,7 +197,7 @@ def test_a_network_of_two_is_the_pair(tmp_path: Path) -> None:
         assert apart == pytest.approx(moved.cov, abs=1e-9)
 
 
-def test_polygons_lines_and_points_of_a_file_are_stable_ground(tmp_path: Path) -> None:
+def test_polygons_lines_and_points_of_a_file_are_stable_ground(tmp_path):
     shapes = [
         shapely.box(EAST, NORTH - 20, EAST + 8, NORTH - 10),
         shapely.LineString([(EAST + 20, NORTH - 5), (EAST + 30, NORTH - 5)]),
@@ -225,9 +225,7 @@ def test_polygons_lines_and_points_of_a_file_are_stable_ground(tmp_path: Path) -
 
 
 @pytest.mark.real
-def test_what_is_taken_off_a_beach_is_what_its_transects_show(
-    data_dir: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_is_taken_off_a_beach_is_what_its_transects_show(data_dir, tmp_path, monkeypatch):
     """Three of the nine surveys that docs/deformation.md has, as a stranger would set them up."""
     monkeypatch.chdir(tmp_path)
     folder, days = data_dir / "sandpyper_dsm", ("20181113", "20181211", "20190516")
@@ -253,7 +251,7 @@ def test_what_is_taken_off_a_beach_is_what_its_transects_show(
     assert ((held["off_m"] / held["sigma_m"]) ** 2).mean() < 2.0
 
 
-def test_a_cloud_without_a_trajectory_keeps_its_shift_too(tmp_path: Path) -> None:
+def test_a_cloud_without_a_trajectory_keeps_its_shift_too(tmp_path):
     """A boat's rule, what most agrees on, is not that of clouds from elsewhere."""
     rng = np.random.default_rng(2)
     text = []

@@ -1,7 +1,6 @@
 """An epoch from cloud and trajectory: its groups of errors together are the covariance of each point."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -39,7 +38,7 @@ def positive(rng: np.random.Generator, sigma: np.ndarray) -> np.ndarray:
 
 
 @pytest.fixture
-def survey(tmp_path: Path) -> tuple[Path, Trajectory, Rigid, np.ndarray]:
+def survey(tmp_path):
     """A cloud of 40 points with the covariances of the georeferencing, and what they come from."""
     rng = np.random.default_rng(2)
     t = 1e9 + np.arange(0.0, 4.05, 0.1)
@@ -99,7 +98,7 @@ def prepared(survey, frame: LocalFrame = FRAME, area: Area | None = None, errors
     )  # fmt: skip
 
 
-def test_groups_and_own_noise_are_the_covariance_of_each_point(survey) -> None:
+def test_groups_and_own_noise_are_the_covariance_of_each_point(survey):
     """Along many normals: each point as a core point of its own, against the georeferencing."""
     epoch, cov = prepared(survey), survey[3]
     normals = np.random.default_rng(3).standard_normal((40, 3))
@@ -116,7 +115,7 @@ def test_groups_and_own_noise_are_the_covariance_of_each_point(survey) -> None:
     assert epoch.several_returns.sum() == 10
 
 
-def test_boat_scanner_and_water_of_each_moment_by_hand(survey) -> None:
+def test_boat_scanner_and_water_of_each_moment_by_hand(survey):
     """The middle of the moments; 0.3 m along a z axis that rolls by 178 and pitches by 2 degrees."""
     epoch, t = prepared(survey), np.minimum(0.05 + 0.1 * np.arange(41), 4.0)
     assert epoch.t_s == pytest.approx(t)
@@ -127,7 +126,7 @@ def test_boat_scanner_and_water_of_each_moment_by_hand(survey) -> None:
     assert epoch.scanner_m[7] - epoch.boat_m[7] == pytest.approx(turned.apply(survey[2].shift_m), abs=1e-4)
 
 
-def test_the_noise_of_the_receiver_is_a_quarter_and_mounts_last_for_ever(survey) -> None:
+def test_the_noise_of_the_receiver_is_a_quarter_and_mounts_last_for_ever(survey):
     groups = {group.name: group for group in prepared(survey).groups}
     assert set(groups) == {"position", "position, white", "attitude", "mount, shift", "mount, rotation"}
     slow, white = (np.sum(groups[name].root ** 2) for name in ("position", "position, white"))
@@ -137,7 +136,7 @@ def test_the_noise_of_the_receiver_is_a_quarter_and_mounts_last_for_ever(survey)
     assert groups["attitude"].correlation_s == 20.0
 
 
-def test_an_error_stays_the_same_one_while_the_boat_turns() -> None:
+def test_an_error_stays_the_same_one_while_the_boat_turns():
     """Roots of neighbouring moments share their components, whatever the eigenvectors of each are."""
     t = np.linspace(0.0, 1.0, 200)
     R = Rotation.from_euler("ZYX", np.column_stack([360 * t, 3 * np.sin(30 * t), 5 * np.cos(20 * t)]), True)
@@ -153,7 +152,7 @@ def test_an_error_stays_the_same_one_while_the_boat_turns() -> None:
     assert world == pytest.approx(np.broadcast_to(np.diag([1.0, 1.0, 2.0]), (200, 3, 3)))
 
 
-def test_a_mount_moves_points_alike_before_and_after_a_turn(survey) -> None:
+def test_a_mount_moves_points_alike_before_and_after_a_turn(survey):
     """The covariance between two moments is that of one error in the axes of the boat."""
     _, trajectory, mount, _ = survey
     groups = {group.name: group for group in prepared(survey).groups}
@@ -164,7 +163,7 @@ def test_a_mount_moves_points_alike_before_and_after_a_turn(survey) -> None:
     assert first @ last.T == pytest.approx(R[0] @ rest @ R[1].T, rel=1e-6, abs=1e-12)
 
 
-def test_another_origin_turns_points_and_errors_alike(survey) -> None:
+def test_another_origin_turns_points_and_errors_alike(survey):
     """Two frames of 30 km distance: the same normal in both has the same variance."""
     other = LocalFrame(lat_deg=51.25, lon_deg=13.5, h_ell_m=100.0)
     here, there = prepared(survey), prepared(survey, other)
@@ -180,7 +179,7 @@ def test_another_origin_turns_points_and_errors_alike(survey) -> None:
     assert variances[1] == pytest.approx(variances[0], rel=1e-6)
 
 
-def test_an_epoch_is_read_as_it_was_written(survey, tmp_path: Path) -> None:
+def test_an_epoch_is_read_as_it_was_written(survey, tmp_path):
     epoch = prepared(survey)
     epoch.write(tmp_path / "points.npz", tmp_path / "errors.json")
     again = Epoch.read(tmp_path)
@@ -190,7 +189,7 @@ def test_an_epoch_is_read_as_it_was_written(survey, tmp_path: Path) -> None:
     assert all((a.root == b.root).all() for a, b in zip(again.groups, epoch.groups, strict=True))
 
 
-def test_a_chain_of_errors_moves_points_as_the_poses_between_its_nodes(survey, tmp_path: Path) -> None:
+def test_a_chain_of_errors_moves_points_as_the_poses_between_its_nodes(survey, tmp_path):
     """Nodes every second with one error of the pose that lasts: the covariance of each point, and of two."""
     trajectory = survey[1]
     t = trajectory.t_gps_s[0] + np.arange(0.0, 5.0)
@@ -213,7 +212,7 @@ def test_a_chain_of_errors_moves_points_as_the_poses_between_its_nodes(survey, t
     assert again.variances() == pytest.approx(field.variances(), rel=1e-12)
 
 
-def test_a_late_clock_moves_all_points_along_the_way_of_the_boat(survey) -> None:
+def test_a_late_clock_moves_all_points_along_the_way_of_the_boat(survey):
     """20 ms at 1.5 m/s and 3 degrees/s: variance of each point, and what is left for its own noise."""
     path, trajectory, mount, _ = survey
     how = {
@@ -239,7 +238,7 @@ def test_a_late_clock_moves_all_points_along_the_way_of_the_boat(survey) -> None
     assert (late.white_m2[:, 0] <= sure.white_m2[:, 0] + 1e-9).all()
 
 
-def test_estimates_of_all_chains_give_correlation_times(tmp_path: Path) -> None:
+def test_estimates_of_all_chains_give_correlation_times(tmp_path):
     ins = {
         "estimates": {"position_time_s": {"value": 8.0}, "attitude_time_s": {"value": 15.0}},
         "white_share": 0.3,
@@ -265,7 +264,7 @@ def test_estimates_of_all_chains_give_correlation_times(tmp_path: Path) -> None:
     assert (stated.even_time_s(at) == at).all()
 
 
-def test_bad_epochs_are_refused(survey, tmp_path: Path) -> None:
+def test_bad_epochs_are_refused(survey, tmp_path):
     epoch = prepared(survey)
     with pytest.raises(InputError, match=r"at the same time as.*copy of the other"):
         check_order([epoch, epoch])

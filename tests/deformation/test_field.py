@@ -29,7 +29,7 @@ def rows_of(rng: np.random.Generator, k: int, m: int) -> sp.csr_matrix:
 
 
 @pytest.mark.parametrize("tau", [0.0, 0.3, 7.0, 1e9])
-def test_variances_and_covariances_are_those_of_the_full_matrix(tau: float) -> None:
+def test_variances_and_covariances_are_those_of_the_full_matrix(tau):
     rng = np.random.default_rng(1)
     groups = (a_group(rng, 40, tau), a_group(rng, 25, 3.0))
     rows = (rows_of(rng, 7, 40), rows_of(rng, 7, 25))
@@ -45,7 +45,7 @@ def test_variances_and_covariances_are_those_of_the_full_matrix(tau: float) -> N
     assert field.combined(mean).variances()[0] == pytest.approx((mean @ expected @ mean.T)[0, 0], rel=1e-9)
 
 
-def test_a_markov_chain_has_the_sums_of_its_full_matrix() -> None:
+def test_a_markov_chain_has_the_sums_of_its_full_matrix():
     """Also for rows that pass over many moments, and for draws."""
     rng = np.random.default_rng(5)
     m, c, d = 37, 6, 5
@@ -71,7 +71,7 @@ def test_a_markov_chain_has_the_sums_of_its_full_matrix() -> None:
     assert low < squares.sum() < high
 
 
-def test_one_error_of_all_moments_adds_up_and_independent_ones_average() -> None:
+def test_one_error_of_all_moments_adds_up_and_independent_ones_average():
     t = np.linspace(0.0, 10.0, 50)
     rows = sp.csr_matrix(np.tile([0.0, 0.02, 0.0], 50)[None])  # the mean of 50 moments, component north
     for tau, expected in ((np.inf, 0.3**2), (0.0, 0.3**2 / 50)):
@@ -79,7 +79,7 @@ def test_one_error_of_all_moments_adds_up_and_independent_ones_average() -> None
         assert field.variances()[0] == pytest.approx(expected, rel=1e-12)
 
 
-def test_q_values_are_those_of_scipy_and_leave_the_unknown_out() -> None:
+def test_q_values_are_those_of_scipy_and_leave_the_unknown_out():
     p = np.random.default_rng(4).uniform(size=200) ** 2
     assert benjamini_hochberg(p) == pytest.approx(false_discovery_control(p), rel=1e-12)
     with_gaps = np.insert(p, [0, 50], np.nan)
@@ -88,7 +88,7 @@ def test_q_values_are_those_of_scipy_and_leave_the_unknown_out() -> None:
     assert q[np.isfinite(q)] == pytest.approx(false_discovery_control(p), rel=1e-12)
 
 
-def test_times_that_go_back_are_refused() -> None:
+def test_times_that_go_back_are_refused():
     with pytest.raises(GeometryError, match="go back"):
         ErrorGroup.from_sigmas("position", np.array([1.0, 0.0]), np.ones(3), 1.0)
     with pytest.raises(GeometryError, match="correlated over -1"):
@@ -132,7 +132,7 @@ def an_epoch(rng: np.random.Generator) -> tuple[ArrayF, ErrorField, ArrayF]:
     return cut.along_m, field, NOISE_M**2 / cut.n
 
 
-def test_distances_of_two_surveys_err_as_the_field_says() -> None:
+def test_distances_of_two_surveys_err_as_the_field_says():
     """Joint squares of 20 distances in 24 pairs, normalised; with independent points they are too large."""
     squares, single, independent = 0.0, [], []
     for seed in range(24):
@@ -155,7 +155,7 @@ def test_distances_of_two_surveys_err_as_the_field_says() -> None:
     assert 0.0 < np.mean(single) < 0.12  # 5 %; a pair holds some three independent values
 
 
-def test_a_chain_in_other_axes_turns_shift_and_rotation() -> None:
+def test_a_chain_in_other_axes_turns_shift_and_rotation():
     """The covariance of (shift, rotation) between two nodes, both parts turned; times from a start."""
     rng = np.random.default_rng(11)
     turn = np.linalg.qr(rng.standard_normal((3, 3)))[0]
@@ -175,7 +175,7 @@ def test_a_chain_in_other_axes_turns_shift_and_rotation() -> None:
             assert across[6 * i : 6 * i + 6, 6 * k : 6 * k + 6] == pytest.approx(both @ stated @ both.T)
 
 
-def test_one_mount_of_two_surveys_is_one_error_on_the_times_of_both() -> None:
+def test_one_mount_of_two_surveys_is_one_error_on_the_times_of_both():
     """Times go on where the first survey ends; a sum of products of both has the covariance of one error."""
     rng = np.random.default_rng(12)
     sigma = np.array([0.1, 0.2, 0.3])

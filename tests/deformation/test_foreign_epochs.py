@@ -85,7 +85,7 @@ def told(error: type[ThalwegError], **stated: Any) -> ThalwegError:
 # ---------------------------------------------------------------- files
 
 
-def test_all_kinds_of_files_lie_in_the_frame_of_all_epochs(tmp_path: Path) -> None:
+def test_all_kinds_of_files_lie_in_the_frame_of_all_epochs(tmp_path):
     local = ground(np.random.default_rng(1), 300)
     in_map = FRAME.to_map(local, CRS_25833)
     text = tmp_path / "a.xyz"
@@ -107,7 +107,7 @@ def test_all_kinds_of_files_lie_in_the_frame_of_all_epochs(tmp_path: Path) -> No
     assert part.xyz_m[:, :2].max(axis=0) == pytest.approx([10.0, 6.0], abs=0.7)  # a metre of margin
 
 
-def test_a_surface_model_has_a_point_a_cell_outside_of_its_masks(tmp_path: Path) -> None:
+def test_a_surface_model_has_a_point_a_cell_outside_of_its_masks(tmp_path):
     corner = (round(ORIGIN[0]) - 10.0, round(ORIGIN[1]) + 10.0)
     row, col = np.indices((20, 30))
     height = 302.0 + 0.1 * col + 0.05 * row
@@ -131,7 +131,7 @@ def test_a_surface_model_has_a_point_a_cell_outside_of_its_masks(tmp_path: Path)
         prepared("first", dsm=str(dsm), leave_out=[f"{water}?month=7"])
 
 
-def test_a_bed_brings_the_sigmas_of_its_kriging(tmp_path: Path) -> None:
+def test_a_bed_brings_the_sigmas_of_its_kriging(tmp_path):
     grid = Grid.around(ORIGIN[None, :2], 1.0, CRS_25833, margin_m=12.0)
     sigma = np.linspace(0.02, 0.2, grid.rows * grid.columns).reshape(grid.rows, grid.columns)
     bands = {"height_m": np.full(sigma.shape, 297.0), "sigma_m": sigma, "sigma_common_m": 0.03 + 0 * sigma}
@@ -177,7 +177,7 @@ def test_a_bed_brings_the_sigmas_of_its_kriging(tmp_path: Path) -> None:
     assert row.sigma_m3 == pytest.approx(np.sqrt(variance), rel=1e-6)
 
 
-def test_an_epoch_is_read_as_it_was_written(tmp_path: Path) -> None:
+def test_an_epoch_is_read_as_it_was_written(tmp_path):
     laz = a_laz(tmp_path / "a.laz", ground(np.random.default_rng(1), 500))
     one = prepared("first", clouds=[str(laz)], sigma_m=0.02, correlation_m=6.0)
     one.write(tmp_path / "points.npz", tmp_path / "errors.json")
@@ -196,7 +196,7 @@ def test_an_epoch_is_read_as_it_was_written(tmp_path: Path) -> None:
 # ---------------------------------------------------------------- errors
 
 
-def test_volumes_and_distances_err_as_stated(tmp_path: Path) -> None:
+def test_volumes_and_distances_err_as_stated(tmp_path):
     """Errors by a dense Cholesky root, so that nothing of the field under test makes them."""
     rng = np.random.default_rng(11)
     length, sigma = 5.0, 0.03
@@ -236,7 +236,7 @@ def test_volumes_and_distances_err_as_stated(tmp_path: Path) -> None:
     assert low < np.mean(np.square(z_dod)) < high
 
 
-def test_without_a_sigma_the_limit_is_roughness_alone_and_says_so(tmp_path: Path) -> None:
+def test_without_a_sigma_the_limit_is_roughness_alone_and_says_so(tmp_path):
     rng = np.random.default_rng(3)
     first, second = (
         prepared(name, clouds=[str(a_laz(tmp_path / f"{name}.laz", ground(rng)))], date_utc=day)
@@ -260,7 +260,7 @@ def test_without_a_sigma_the_limit_is_roughness_alone_and_says_so(tmp_path: Path
     assert lines.loc["net", "sigma_m3"] > 0
 
 
-def test_nobody_knows_what_an_epoch_of_files_could_have_seen(tmp_path: Path) -> None:
+def test_nobody_knows_what_an_epoch_of_files_could_have_seen(tmp_path):
     rng = np.random.default_rng(3)
     whole = ground(rng)
     part = whole[(whole[:, 0] < 12.0)]
@@ -277,7 +277,7 @@ def test_nobody_knows_what_an_epoch_of_files_could_have_seen(tmp_path: Path) -> 
     assert seen["seen_1"].all()
 
 
-def test_a_boat_and_a_cloud_from_elsewhere_are_compared_towards_the_boat(tmp_path: Path) -> None:
+def test_a_boat_and_a_cloud_from_elsewhere_are_compared_towards_the_boat(tmp_path):
     rng = np.random.default_rng(5)
     before = epoch(bank(rng, 20_000), name="boat", sigma_m=0.01, noise_m=0.01)
     after = prepared(
@@ -301,7 +301,7 @@ def test_a_boat_and_a_cloud_from_elsewhere_are_compared_towards_the_boat(tmp_pat
 # ---------------------------------------------------------------- what is refused
 
 
-def test_files_of_another_grid_place_or_height_are_refused(tmp_path: Path) -> None:
+def test_files_of_another_grid_place_or_height_are_refused(tmp_path):
     local = ground(np.random.default_rng(1), 400)
     laz = str(a_laz(tmp_path / "a.laz", local))
     assert "ETRS89 / UTM zone 33N" in told(InputError, clouds=[laz], crs="EPSG:25832").found
@@ -323,7 +323,7 @@ def test_files_of_another_grid_place_or_height_are_refused(tmp_path: Path) -> No
         check_order([one, replace(one, name="copy")])
 
 
-def test_values_that_may_be_no_heights_are_masked_or_refused(tmp_path: Path) -> None:
+def test_values_that_may_be_no_heights_are_masked_or_refused(tmp_path):
     local = ground(np.random.default_rng(1), 400)
     in_map = FRAME.to_map(local, CRS_25833)
     path = tmp_path / "a.xyz"
@@ -348,7 +348,7 @@ def test_values_that_may_be_no_heights_are_masked_or_refused(tmp_path: Path) -> 
     assert len(prepared("first", clouds=[str(path)]).xyz_m) == 400
 
 
-def test_empty_files_and_epochs_without_a_date_are_refused(tmp_path: Path) -> None:
+def test_empty_files_and_epochs_without_a_date_are_refused(tmp_path):
     empty = tmp_path / "a.laz"
     write_laz(empty, [], CRS_25833)
     with pytest.raises(InputError, match="a cloud without points"):
@@ -360,7 +360,7 @@ def test_empty_files_and_epochs_without_a_date_are_refused(tmp_path: Path) -> No
     assert told(InputError, clouds=[laz], date_utc=None).cure == "Write date_utc"
 
 
-def test_a_density_of_a_hundred_to_one_is_told(tmp_path: Path) -> None:
+def test_a_density_of_a_hundred_to_one_is_told(tmp_path):
     rng = np.random.default_rng(8)
     first = prepared("a", clouds=[str(a_laz(tmp_path / "a.laz", ground(rng, 200_000)))])
     second = prepared("b", clouds=[str(a_laz(tmp_path / "b.laz", ground(rng, 2000)))])
@@ -370,7 +370,7 @@ def test_a_density_of_a_hundred_to_one_is_told(tmp_path: Path) -> None:
     assert any("The first cloud is 9" in note or "The first cloud is 10" in note for note in notes)
 
 
-def test_epochs_that_do_not_overlap_are_refused(tmp_path: Path) -> None:
+def test_epochs_that_do_not_overlap_are_refused(tmp_path):
     rng = np.random.default_rng(8)
     first = prepared("a", clouds=[str(a_laz(tmp_path / "a.laz", ground(rng)))])
     second = replace(
@@ -381,7 +381,7 @@ def test_epochs_that_do_not_overlap_are_refused(tmp_path: Path) -> None:
         measure_pair(cores, first, second, SETTINGS)
 
 
-def test_surface_models_without_a_grid_take_that_of_the_campaign(tmp_path: Path) -> None:
+def test_surface_models_without_a_grid_take_that_of_the_campaign(tmp_path):
     corner = (round(ORIGIN[0]), round(ORIGIN[1]))
     for name, lift in (("a", 0.0), ("b", 0.25)):
         height = np.full((9, 9), 301.0 + lift)
@@ -412,7 +412,7 @@ def beach_epoch(data_dir: Path, day: str, **more: Any) -> Epoch:
 
 
 @pytest.mark.real
-def test_the_beach_has_the_same_volumes_as_epochs_of_a_campaign(data_dir: Path) -> None:
+def test_the_beach_has_the_same_volumes_as_epochs_of_a_campaign(data_dir):
     """The figures of `test_volumes_of_the_beach_without_water`, from what a campaign file states."""
     first, second = (
         beach_epoch(data_dir, day, sigma_m=0.0213 / np.sqrt(2.0)) for day in ("20180727", "20180925")
@@ -422,7 +422,7 @@ def test_the_beach_has_the_same_volumes_as_epochs_of_a_campaign(data_dir: Path) 
 
 
 @pytest.mark.real
-def test_the_march_survey_of_the_beach_is_flagged_by_a_campaign(data_dir: Path) -> None:
+def test_the_march_survey_of_the_beach_is_flagged_by_a_campaign(data_dir):
     place, map_crs = LocalFrame(lat_deg=-38.77, lon_deg=143.6648, h_ell_m=3.0), "EPSG:32754"
     settings = Deformation(
         core_spacing_m=4.0, scales_m=[4.0], cylinder_radius_m=2.5, reach_m=3.0, registration="none"

@@ -1,7 +1,5 @@
 """Distances along normals against brute force, a peer's numbers and moved poses."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -10,7 +8,7 @@ from thalweg.deformation.m3c2 import ColumnIndex, cut_cylinders, multiscale_norm
 
 
 @pytest.fixture
-def cloud() -> ArrayF:
+def cloud():
     rng = np.random.default_rng(3)
     xy = rng.uniform((-7.0, 100.0), (9.0, 112.0), (6000, 2))
     return np.column_stack([xy, 2.0 * np.sin(xy[:, 0] / 3.0) + rng.normal(0.0, 0.05, len(xy))])
@@ -29,9 +27,7 @@ def inside(cloud: ArrayF, core: ArrayF, normal: ArrayF, radius: float, half_leng
 @pytest.mark.parametrize(
     ("radius", "half_length", "width"), [(0.4, 3.0, 0.7), (1.0, 0.5, 1.0), (0.3, 9.0, 2.5)]
 )
-def test_cylinders_hold_the_points_of_brute_force(
-    cloud: ArrayF, radius: float, half_length: float, width: float
-) -> None:
+def test_cylinders_hold_the_points_of_brute_force(cloud, radius, half_length, width):
     rng = np.random.default_rng(5)
     cores = cloud[rng.choice(len(cloud), 60, replace=False)] + rng.normal(0.0, 0.3, (60, 3))
     normals = unit(rng.normal(size=(60, 3)))
@@ -51,7 +47,7 @@ def test_cylinders_hold_the_points_of_brute_force(
             assert np.isnan(cut.std_m[i])
 
 
-def test_normals_are_those_of_the_most_planar_scale(cloud: ArrayF) -> None:
+def test_normals_are_those_of_the_most_planar_scale(cloud):
     cores = cloud[:40]
     radii = (0.3, 0.8, 2.0)
     normals, radius = multiscale_normals(
@@ -72,7 +68,7 @@ def test_normals_are_those_of_the_most_planar_scale(cloud: ArrayF) -> None:
     assert len(set(radius)) > 1
 
 
-def test_a_core_point_without_neighbours_has_no_normal_and_no_distance(cloud: ArrayF) -> None:
+def test_a_core_point_without_neighbours_has_no_normal_and_no_distance(cloud):
     index = ColumnIndex.of(cloud, 1.0)
     cores = np.array([[0.0, 106.0, 50.0], [500.0, 0.0, 0.0]])
     normals, radius = multiscale_normals(cores, index, (0.5,), towards=np.array([0.0, 0.0, 1.0]))
@@ -83,7 +79,7 @@ def test_a_core_point_without_neighbours_has_no_normal_and_no_distance(cloud: Ar
     assert np.isnan(cut.along_m).all()
 
 
-def test_weights_tell_what_an_error_of_a_pose_does(cloud: ArrayF) -> None:
+def test_weights_tell_what_an_error_of_a_pose_does(cloud):
     """Points moved by small errors of their poses move their mean as the weights say."""
     rng = np.random.default_rng(7)
     node = rng.integers(0, 9, len(cloud))
@@ -106,7 +102,7 @@ def test_weights_tell_what_an_error_of_a_pose_does(cloud: ArrayF) -> None:
         assert found == pytest.approx(expected, rel=1e-9, abs=1e-15)
 
 
-def test_weights_of_many_core_points_with_many_moments(cloud: ArrayF) -> None:
+def test_weights_of_many_core_points_with_many_moments(cloud):
     """More than one block of core points, more moments than a block has room for, two passages apart."""
     rng = np.random.default_rng(12)
     cores = cloud[rng.choice(len(cloud), 300, replace=False)]
@@ -131,7 +127,7 @@ def test_weights_of_many_core_points_with_many_moments(cloud: ArrayF) -> None:
 
 
 @pytest.mark.real
-def test_the_planes_of_py4dgeo(data_dir: Path) -> None:
+def test_the_planes_of_py4dgeo(data_dir):
     """py4dgeo 1.2.0: every 50th point, cylinders of 2 m, normals at 0.5, 1 and 2 m."""
     before, after = (np.loadtxt(data_dir / f"py4dgeo_planes/plane_horizontal_t{i}.xyz") for i in (1, 2))
     cores = before[::50]
@@ -154,7 +150,7 @@ def test_the_planes_of_py4dgeo(data_dir: Path) -> None:
 
 
 @pytest.mark.parametrize("bad", [np.empty((0, 3)), np.array([[0.0, np.nan, 1.0]])])
-def test_clouds_that_cannot_be_indexed_are_refused(bad: ArrayF) -> None:
+def test_clouds_that_cannot_be_indexed_are_refused(bad):
     with pytest.raises(GeometryError, match="finite"):
         ColumnIndex.of(bad, 1.0)
     far = np.array([[0.0, 0.0, 0.0], [1e9, 1e9, 0.0]])

@@ -32,14 +32,14 @@ def told(factor: float, n: int = 100, *, noise: float = 0.0, second_first: bool 
     ("factor", "unit"), [(1 / 0.3048, "feet"), (1000.0, "millimetres"), (100.0, "centimetres")]
 )
 @pytest.mark.parametrize("second_first", [False, True])
-def test_the_raster_in_other_units_is_named(factor: float, unit: str, second_first: bool) -> None:
+def test_the_raster_in_other_units_is_named(factor, unit, second_first):
     words = told(factor, second_first=second_first)
     assert unit in words
     assert "two.tif" in words
     assert f"{factor:.2f} times" in words
 
 
-def test_what_might_be_a_real_difference_is_let_through() -> None:
+def test_what_might_be_a_real_difference_is_let_through():
     feet = 1 / 0.3048
     assert told(1.0) == told(2.0) == ""
     assert told(feet, n=99) == ""

@@ -15,7 +15,7 @@ def errors(rng: np.random.Generator) -> tuple[ArrayF, ArrayF]:
     return rng.uniform(0.01, 0.05, 7), root @ root.T
 
 
-def test_trend_and_step_are_those_of_the_full_matrices() -> None:
+def test_trend_and_step_are_those_of_the_full_matrices():
     """Places with gaps; the other side is solved with inverse covariances, one place at a time."""
     rng = np.random.default_rng(1)
     sigma, common = errors(rng)
@@ -48,7 +48,7 @@ def test_trend_and_step_are_those_of_the_full_matrices() -> None:
         assert row.step_after_epoch == best[3]
 
 
-def test_distances_from_the_first_epoch_give_the_same_trend_as_their_full_covariance() -> None:
+def test_distances_from_the_first_epoch_give_the_same_trend_as_their_full_covariance():
     rng = np.random.default_rng(2)
     sigma, _ = errors(rng)
     height = rng.normal(0.0, 0.1, (7, 5))
@@ -61,7 +61,7 @@ def test_distances_from_the_first_epoch_give_the_same_trend_as_their_full_covari
     assert table["sigma_trend_m_a"].to_numpy() == pytest.approx(np.sqrt(variance), rel=1e-9)
 
 
-def test_trends_err_as_their_sigmas_say_and_common_errors_stay_in_the_mean() -> None:
+def test_trends_err_as_their_sigmas_say_and_common_errors_stay_in_the_mean():
     rng = np.random.default_rng(3)
     common, k, draws = np.diag([0.03, 0.01, 0.04, 0.02, 0.03, 0.01, 0.05]) ** 2, 200, 300
     sigma = np.full(7, 0.02)
@@ -79,7 +79,7 @@ def test_trends_err_as_their_sigmas_say_and_common_errors_stay_in_the_mean() -> 
     assert low < np.sum(np.square(means)) / variance < high
 
 
-def test_a_step_is_found_where_it_is_and_seldom_elsewhere() -> None:
+def test_a_step_is_found_where_it_is_and_seldom_elsewhere():
     rng = np.random.default_rng(4)
     height = 0.05 * T[:, None] + 0.02 * rng.standard_normal((7, 2000))
     height[4:, :1000] += 0.3
@@ -93,7 +93,7 @@ def test_a_step_is_found_where_it_is_and_seldom_elsewhere() -> None:
     assert 0.02 < (still["p_step"] < 0.05).mean() < 0.06
 
 
-def test_what_cannot_be_fitted_is_refused() -> None:
+def test_what_cannot_be_fitted_is_refused():
     with pytest.raises(InputError, match="three or more ascending times"):
         fit_series(T[::-1], np.zeros((7, 2)), np.ones(7))
     with pytest.raises(InputError, match=r"sigmas \(6,\)"):
@@ -102,7 +102,7 @@ def test_what_cannot_be_fitted_is_refused() -> None:
         fit_series(T, np.zeros((7, 2)), np.zeros(7))
 
 
-def test_an_epoch_that_jumps_and_returns_is_flagged_and_a_wandering_bar_is_not() -> None:
+def test_an_epoch_that_jumps_and_returns_is_flagged_and_a_wandering_bar_is_not():
     rng = np.random.default_rng(5)
     height = 0.02 * rng.standard_normal((5, 400))
     height[2] += 0.1
@@ -123,7 +123,7 @@ def test_an_epoch_that_jumps_and_returns_is_flagged_and_a_wandering_bar_is_not()
         find_jumps(height, np.ones(4))
 
 
-def test_closure_counts_what_is_left() -> None:
+def test_closure_counts_what_is_left():
     steps = np.array([[0.1, 0.2, np.nan], [0.3, -0.1, 0.0]])
     found = closure(steps, np.array([0.4, 0.4, 0.0]))
     assert found.n == 2

@@ -30,7 +30,7 @@ def full_matrix(errors: SpatialErrors) -> ArrayF:
 
 
 @pytest.mark.parametrize("length_m", [0.3, 4.0, 100.0])
-def test_sums_over_few_and_many_cells_are_those_of_the_full_matrix(length_m: float) -> None:
+def test_sums_over_few_and_many_cells_are_those_of_the_full_matrix(length_m):
     rng = np.random.default_rng(4)
     errors = some_errors(rng, 400, (40, 25), length_m)
     cov = full_matrix(errors)
@@ -47,7 +47,7 @@ def test_sums_over_few_and_many_cells_are_those_of_the_full_matrix(length_m: flo
 
 
 @pytest.mark.parametrize("length_m", [0.5, 4.0, 60.0])
-def test_draws_have_the_covariance_that_is_stated(length_m: float) -> None:
+def test_draws_have_the_covariance_that_is_stated(length_m):
     rng = np.random.default_rng(6)
     errors = some_errors(rng, 60, (12, 12), length_m)
     products = rng.standard_normal((4, 180))
@@ -60,7 +60,7 @@ def test_draws_have_the_covariance_that_is_stated(length_m: float) -> None:
 
 
 @pytest.mark.parametrize("length_m", [3.0, 20.0, 200.0])
-def test_the_volume_of_a_raster_has_the_variance_of_the_sum_over_its_cells(length_m: float) -> None:
+def test_the_volume_of_a_raster_has_the_variance_of_the_sum_over_its_cells(length_m):
     inside = np.hypot(*(np.indices((60, 40)) - np.array([[[30]], [[20]]]))) < 19
     north, east = np.nonzero(inside)
     plan = np.column_stack([east, north]) * 1.0
@@ -76,7 +76,7 @@ def test_the_volume_of_a_raster_has_the_variance_of_the_sum_over_its_cells(lengt
     assert np.sqrt(found) == pytest.approx(np.sqrt(expected), rel=0.01)
 
 
-def test_points_of_a_cell_share_its_number() -> None:
+def test_points_of_a_cell_share_its_number():
     rng = np.random.default_rng(7)
     plan = rng.uniform(-5.0, 20.0, (500, 2))
     node, cell, cell_m = place_in_cells(plan, 8.0)
@@ -85,6 +85,6 @@ def test_points_of_a_cell_share_its_number() -> None:
     assert len(np.unique(cell, axis=0)) == len(cell) == node.max() + 1
 
 
-def test_lengths_of_zero_are_noise_and_refused_here() -> None:
+def test_lengths_of_zero_are_noise_and_refused_here():
     with pytest.raises(GeometryError, match="errors of single points are noise"):
         SpatialErrors("stated", np.zeros((1, 2), int), 0.1, np.zeros((1, 3, 3)), 0.0)

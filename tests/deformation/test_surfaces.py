@@ -70,7 +70,7 @@ def a_package(path: Path, rings: list[list[tuple[float, float]]], code: int = 25
 # ---------------------------------------------------------------- reading
 
 
-def test_heights_lie_where_the_file_says(tmp_path: Path) -> None:
+def test_heights_lie_where_the_file_says(tmp_path):
     height = relief()
     height[3, 4] = -10_000.0
     dsm = read_dsm(a_tif(tmp_path / "a.tif", height))
@@ -90,7 +90,7 @@ def test_heights_lie_where_the_file_says(tmp_path: Path) -> None:
     assert point.corner_m.tolist() == [439_999.0, 5_640_001.0]
 
 
-def test_declared_and_stated_values_are_no_heights(tmp_path: Path) -> None:
+def test_declared_and_stated_values_are_no_heights(tmp_path):
     height = relief()
     height[:2], height[5] = 0.0, -99.0
     path = a_tif(tmp_path / "a.tif", height, nodata="-99")
@@ -111,14 +111,12 @@ def test_declared_and_stated_values_are_no_heights(tmp_path: Path) -> None:
         ((3072, 0, 1, 25833, 4099, 0, 1, 9101), InputError, "heights in 'radian'"),
     ],
 )
-def test_coordinates_that_are_no_lengths_are_refused(
-    tmp_path: Path, keys: tuple[int, ...], error: type[Exception], text: str
-) -> None:
+def test_coordinates_that_are_no_lengths_are_refused(tmp_path, keys, error, text):
     with pytest.raises(error, match=text):
         read_dsm(a_tif(tmp_path / "a.tif", relief(), keys=keys, corner=(13.0, 51.0), cell=1e-5))
 
 
-def test_files_that_are_no_heights_are_refused(tmp_path: Path) -> None:
+def test_files_that_are_no_heights_are_refused(tmp_path):
     empty, text = tmp_path / "empty.tif", tmp_path / "text.tif"
     empty.write_bytes(b"")
     text.write_text("no raster")
@@ -145,7 +143,7 @@ def test_files_that_are_no_heights_are_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("correlation", [0.0, 0.7, 5.0, 40.0, np.inf])
-def test_the_variance_of_a_volume_is_the_sum_over_all_pairs(correlation: float) -> None:
+def test_the_variance_of_a_volume_is_the_sum_over_all_pairs(correlation):
     rng = np.random.default_rng(1)
     cells = rng.uniform(size=(17, 23)) < 0.4
     cell = np.array([1.5, 0.8])
@@ -157,7 +155,7 @@ def test_the_variance_of_a_volume_is_the_sum_over_all_pairs(correlation: float) 
     assert found == pytest.approx((1.5 * 0.8 * 0.3) ** 2 * C.sum(), rel=1e-10)
 
 
-def test_a_large_area_has_the_variance_of_rolstad_haug_and_denby() -> None:
+def test_a_large_area_has_the_variance_of_rolstad_haug_and_denby():
     """Exponential correlation: sigma^2 2 pi L^2 / A for a mean height; a border takes some of it."""
     cells = np.ones((700, 700), bool)
     cell, length = np.array([1.0, 1.0]), 6.0
@@ -183,7 +181,7 @@ def two(tmp_path: Path) -> tuple[Dsm, Dsm]:
     return read_dsm(a_tif(tmp_path / "a.tif", before)), read_dsm(a_tif(tmp_path / "b.tif", after))
 
 
-def test_volumes_areas_and_intervals_by_hand(tmp_path: Path) -> None:
+def test_volumes_areas_and_intervals_by_hand(tmp_path):
     before, after = two(tmp_path)
     errors = (HeightErrors(0.03), HeightErrors(0.04))
     found = difference_of_surfaces(before, after, errors, sigma_registration_m=0.02)
@@ -210,7 +208,7 @@ def test_volumes_areas_and_intervals_by_hand(tmp_path: Path) -> None:
     assert "erosion beyond the level of detection" not in set(bare.volumes["part"])
 
 
-def test_polygons_are_left_out_but_not_their_holes(tmp_path: Path) -> None:
+def test_polygons_are_left_out_but_not_their_holes(tmp_path):
     before, after = two(tmp_path)
 
     def ring(row: int, rows: int, col: int, cols: int) -> list[tuple[float, float]]:
@@ -239,7 +237,7 @@ def test_polygons_are_left_out_but_not_their_holes(tmp_path: Path) -> None:
     )
 
 
-def test_rasters_that_do_not_fit_are_refused(tmp_path: Path) -> None:
+def test_rasters_that_do_not_fit_are_refused(tmp_path):
     before, _ = two(tmp_path)
 
     def after(height: ArrayF, **how: object) -> Dsm:
@@ -267,7 +265,7 @@ def test_rasters_that_do_not_fit_are_refused(tmp_path: Path) -> None:
         difference_of_surfaces(before, after(holes))
 
 
-def test_the_command_writes_bands_and_volumes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_writes_bands_and_volumes(tmp_path, capsys):
     before, after = two(tmp_path)
     words = ["compare-clouds", str(before.path), str(after.path), "--sigma-a", "0.03", "--sigma-b", "0.04"]
     out = tmp_path / "changes.tif"
@@ -312,17 +310,17 @@ LIMITS_M = np.array([0.030544, 0.049026, 0.028770, 0.091381, 0.098746, 0.078057,
 
 
 @pytest.fixture(scope="module")
-def beach(data_dir: Path) -> Path:
+def beach(data_dir):
     return data_dir / "sandpyper_dsm"
 
 
 @pytest.fixture(scope="module")
-def epochs(beach: Path) -> list[Dsm]:
+def epochs(beach):
     return [read_dsm(beach / f"dsm_1m/mar_{day}_dsm_resampled_1m.tif") for day in DAYS]
 
 
 @pytest.mark.real
-def test_the_undeclared_value_of_the_beach_is_masked_and_counted(epochs: list[Dsm]) -> None:
+def test_the_undeclared_value_of_the_beach_is_masked_and_counted(epochs):
     assert epochs[2].notes == (
         "mar_20180727_dsm_resampled_1m.tif: 30,739 of 141,780 cells without a height "
         "(undeclared value -10000).",
@@ -333,7 +331,7 @@ def test_the_undeclared_value_of_the_beach_is_masked_and_counted(epochs: list[Ds
 
 
 @pytest.mark.real
-def test_the_published_limits_of_all_eight_steps(beach: Path, epochs: list[Dsm]) -> None:
+def test_the_published_limits_of_all_eight_steps(beach, epochs):
     """sandpyper rounds places in units of cells, so that it reads half a cell too far south-east."""
     lines = read_vectors(beach / "lod_transects/mar_lod_transects.gpkg")
     theirs = [replace(each, corner_m=each.corner_m + each.cell_m * (-0.5, 0.5)) for each in epochs]
@@ -360,16 +358,7 @@ OFFSET_M = np.array([731_360.0, 5_705_142.0, 0.0])
         ("up", 15_454, -0.042674, -0.073847, 0.732868, 0.107381, 9_517),
     ],
 )
-def test_distances_of_py4dgeo_on_the_beach(
-    epochs: list[Dsm],
-    normal: str,
-    valid: int,
-    mean: float,
-    median: float,
-    std: float,
-    limit: float,
-    significant: int,
-) -> None:
+def test_distances_of_py4dgeo_on_the_beach(epochs, normal, valid, mean, median, std, limit, significant):
     """Every 5th point, normals at 3 m, cylinders of 2 m; its limit adds the registration error linearly."""
     before, after = (each.points_m() - OFFSET_M for each in epochs[2:4])
     cores = before[::5]
@@ -392,12 +381,12 @@ def test_distances_of_py4dgeo_on_the_beach(
 
 
 @pytest.fixture(scope="module")
-def stack(epochs: list[Dsm]) -> ArrayF:
+def stack(epochs):
     return np.array([onto_grid(each, epochs[0], "nearest")[0].height_m.ravel() for each in epochs])
 
 
 @pytest.fixture(scope="module")
-def dry(beach: Path, epochs: list[Dsm], stack: ArrayF) -> ArrayF:
+def dry(beach, epochs, stack):
     """Without the water of each day."""
     heights = stack.copy()
     for each, day in zip(heights, DAYS, strict=True):
@@ -410,7 +399,7 @@ def waters(beach: Path, day: str) -> Vectors:
 
 
 @pytest.mark.real
-def test_the_series_of_nine_epochs(epochs: list[Dsm], stack: ArrayF) -> None:
+def test_the_series_of_nine_epochs(epochs, stack):
     with pytest.raises(InputError, match="another grid"):
         onto_grid(epochs[1], epochs[0])
     seen = stack[:, np.isfinite(stack).all(axis=0)]
@@ -431,7 +420,7 @@ def test_the_series_of_nine_epochs(epochs: list[Dsm], stack: ArrayF) -> None:
 
 
 @pytest.mark.real
-def test_the_epoch_that_jumps_and_returns_is_flagged(stack: ArrayF, dry: ArrayF) -> None:
+def test_the_epoch_that_jumps_and_returns_is_flagged(stack, dry):
     jumps = find_jumps(stack, LIMITS_M)
     assert [DAYS[jump.epoch] for jump in jumps if jump.flagged] == ["20190313"]
     assert jumps[6].before_m == pytest.approx(0.27, abs=0.005)
@@ -443,7 +432,7 @@ def test_the_epoch_that_jumps_and_returns_is_flagged(stack: ArrayF, dry: ArrayF)
 
 
 @pytest.mark.real
-def test_trends_of_the_beach_with_errors_that_epochs_have_in_common(dry: ArrayF) -> None:
+def test_trends_of_the_beach_with_errors_that_epochs_have_in_common(dry):
     t_a = np.array([date.fromisoformat(f"{d[:4]}-{d[4:6]}-{d[6:]}").toordinal() for d in DAYS]) / 365.25
     seen = dry[:, np.isfinite(dry).all(axis=0)]
     assert seen.shape == (9, 25_794)
@@ -460,7 +449,7 @@ def test_trends_of_the_beach_with_errors_that_epochs_have_in_common(dry: ArrayF)
 
 
 @pytest.mark.real
-def test_volumes_of_the_beach_without_water(beach: Path, epochs: list[Dsm]) -> None:
+def test_volumes_of_the_beach_without_water(beach, epochs):
     before, after = epochs[2:4]
     errors = (HeightErrors(0.0213 / np.sqrt(2.0), 20.0),) * 2
     dry = [waters(beach, day) for day in DAYS[2:4]]

@@ -2,7 +2,6 @@
 
 import json
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -32,7 +31,7 @@ from thalweg.settings.sections import Deformation
 # ---------------------------------------------------------------- registration
 
 
-def test_a_registration_has_the_covariance_of_weighted_least_squares(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_registration_has_the_covariance_of_weighted_least_squares(monkeypatch):
     """Parameters S d, covariance S (shared + white) S' with all cross terms, and the statistic of both."""
     monkeypatch.setattr(coregistration, "_LEAST", 20)
     rng = np.random.default_rng(21)
@@ -79,7 +78,7 @@ STATE = ["erosion", "erosion", "deposition", "no significant change", "not seen 
 
 
 @pytest.fixture
-def compared() -> SimpleNamespace:
+def compared():
     """Five core points at 2, 7, 12, 13 and 14 m along the bank; errors that hang together."""
     rng = np.random.default_rng(22)
     root = 0.02 * rng.standard_normal((5, 5))
@@ -95,7 +94,7 @@ def compared() -> SimpleNamespace:
 
 
 @pytest.fixture
-def table() -> pd.DataFrame:
+def table():
     return pd.DataFrame(
         {
             "distance_m": DISTANCE,
@@ -108,7 +107,7 @@ def table() -> pd.DataFrame:
     )
 
 
-def test_volumes_and_their_sigmas_by_hand(table: pd.DataFrame, compared: SimpleNamespace) -> None:
+def test_volumes_and_their_sigmas_by_hand(table, compared):
     found, along = estimate_volumes(table, compared, Deformation(station_m=10.0), 1)
     assert found["what"].tolist() == ["erosion", "deposition", "net"]
     assert found["volume_m3"].tolist() == pytest.approx([-0.9, 0.6, -0.295])
@@ -131,7 +130,7 @@ def test_volumes_and_their_sigmas_by_hand(table: pd.DataFrame, compared: SimpleN
     ]
 
 
-def test_what_a_threshold_does_to_sums_by_hand(table: pd.DataFrame, compared: SimpleNamespace) -> None:
+def test_what_a_threshold_does_to_sums_by_hand(table, compared):
     """The limit is the smallest significant ratio, that of the second point: -0.2 m over its sigma."""
     compared.sigma_m = np.full(5, 0.1)
     found, _ = estimate_volumes(table, compared, Deformation(station_m=10.0), 1)
@@ -139,7 +138,7 @@ def test_what_a_threshold_does_to_sums_by_hand(table: pd.DataFrame, compared: Si
     assert found["bias_m3"].tolist() == pytest.approx([0.3, -0.6, 0.0])
 
 
-def test_patches_and_their_columns_by_hand(table: pd.DataFrame) -> None:
+def test_patches_and_their_columns_by_hand(table):
     places = table[["east_m", "north_m", "up_m"]].to_numpy()
     state = np.array(STATE, dtype=object)
     assert _patches(places, state, 5.1).tolist() == [0, 0, 1, -1, -1]  # sqrt(25.25) m apart
@@ -153,9 +152,7 @@ def test_patches_and_their_columns_by_hand(table: pd.DataFrame) -> None:
     assert len(_rows(table, AREA, apart, SimpleNamespace(least_patch_m2=1.6))) == 1
 
 
-def test_retreat_of_a_line_by_hand(
-    table: pd.DataFrame, compared: SimpleNamespace, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_retreat_of_a_line_by_hand(table, compared, monkeypatch):
     """Two stretches, the second the mean of two points, in half a year."""
     products = np.array([[1.0, 0, 0, 0, 0], [0, 0.5, 0.5, 0, 0]])
     rows = pd.DataFrame({"line": ["bank line", "bank line"], "height_m": [1.0, 1.0]})
@@ -174,7 +171,7 @@ def test_retreat_of_a_line_by_hand(
 # ---------------------------------------------------------------- what is written
 
 
-def test_a_registration_goes_to_disk_with_its_facts(tmp_path: Path) -> None:
+def test_a_registration_goes_to_disk_with_its_facts(tmp_path):
     rng = np.random.default_rng(8)
     k = 40
     cores = np.column_stack([rng.uniform(-9.0, 9.0, (k, 2)), np.zeros(k)])
@@ -199,7 +196,7 @@ def test_a_registration_goes_to_disk_with_its_facts(tmp_path: Path) -> None:
     assert words == {"all": ("what most of the bank agrees on", 1), "drawn": ("drawn", 2)}
 
 
-def test_drawn_errors_and_heights_of_a_series_are_tables() -> None:
+def test_drawn_errors_and_heights_of_a_series_are_tables():
     compared = SimpleNamespace(
         distance_m=np.array([0.1, np.nan, 0.2]),
         draws=lambda n, seed: [seed + i + np.array([0.1, 0.2, 0.3]) for i in range(n)],
@@ -220,7 +217,7 @@ def test_drawn_errors_and_heights_of_a_series_are_tables() -> None:
     assert heights["sigma_m"].tolist() == pytest.approx([0.01, 0.02, 0.05, 0.06])
 
 
-def test_the_sigma_of_a_mean_of_three_unequal_ones() -> None:
+def test_the_sigma_of_a_mean_of_three_unequal_ones():
     """Places 0.5 and 12 m apart with a radius of 0.5 m: two cylinders overlap, all share the field."""
     table = pd.DataFrame(
         {
@@ -245,7 +242,7 @@ def test_the_sigma_of_a_mean_of_three_unequal_ones() -> None:
         assert sigma_of_mean(unmeasured, 0.5, correlation_m) == pytest.approx(np.sqrt(variance))
 
 
-def test_a_difference_is_read_as_it_was_written(tmp_path: Path) -> None:
+def test_a_difference_is_read_as_it_was_written(tmp_path):
     values = np.array([[0.1, np.nan, -0.3], [0.4, 0.5, 0.6]])
     raster = Dsm(values, np.array([500.0, 900.0]), np.array([2.0, 3.0]), CRS.from_epsg(25833), tmp_path)
     write_difference(tmp_path / "d.tif", SurfaceDifference(raster, values**2, pd.DataFrame(), []))
@@ -258,7 +255,7 @@ def test_a_difference_is_read_as_it_was_written(tmp_path: Path) -> None:
     assert len(back.volumes) == 0
 
 
-def test_differences_on_lines_of_stable_ground(tmp_path: Path) -> None:
+def test_differences_on_lines_of_stable_ground(tmp_path):
     """A road of 6 m along three cells of 2 m: the median of 1, 2 and 6 cm, and their scatter about it."""
     line = {"type": "LineString", "coordinates": [[500_000.5, 5_699_999.0], [500_006.6, 5_699_999.0]]}
     feature = {"type": "Feature", "properties": {}, "geometry": line}
@@ -278,7 +275,7 @@ def test_differences_on_lines_of_stable_ground(tmp_path: Path) -> None:
         difference_on_lines(before, replace(after, height_m=np.full((1, 3), np.nan)), read_vectors(path))
 
 
-def test_errors_of_a_difference_are_those_of_the_second_less_those_of_the_first() -> None:
+def test_errors_of_a_difference_are_those_of_the_second_less_those_of_the_first():
     """Poses of both epochs for themselves; the mount is one error of both where the boat is the same."""
     rng = np.random.default_rng(4)
     sigmas = {"position": 0.02, "mount of the lidar": 0.01}
@@ -302,7 +299,7 @@ def test_errors_of_a_difference_are_those_of_the_second_less_those_of_the_first(
 # ---------------------------------------------------------------- lines of a bank
 
 
-def test_lines_of_a_bank_are_weighted_sums_of_the_distances_of_its_face() -> None:
+def test_lines_of_a_bank_are_weighted_sums_of_the_distances_of_its_face():
     """A face of 45 degrees and one turned by 60 degrees about the plumb line; flat ground has no line."""
     slant = np.sqrt(0.5)
     normals = (
@@ -337,7 +334,7 @@ def test_lines_of_a_bank_are_weighted_sums_of_the_distances_of_its_face() -> Non
     assert top["cores"][0] == 4
 
 
-def test_the_spacing_of_a_cloud_is_asked_all_over_it(tmp_path: Path) -> None:
+def test_the_spacing_of_a_cloud_is_asked_all_over_it(tmp_path):
     """5,000 points in a row, 1 m apart at first and 2 m from the tenth on; a point that is there twice."""
     x = np.concatenate([np.arange(10.0), 10.0 + 2.0 * np.arange(4990), [3.0]])
     np.savetxt(tmp_path / "row.xyz", np.column_stack([x, np.zeros((len(x), 2))]))

@@ -354,7 +354,7 @@ def test_statistics_of_nothing_are_refused(found):
         accuracy_page(**found | {"statistics": found["statistics"].iloc[:0]})
 
 
-def test_the_page_says_who_tells_how_the_poses_err() -> None:
+def test_the_page_says_who_tells_how_the_poses_err():
     prior = PriorErrors(
         sigma_position_m=np.full(3, 0.02),
         sigma_attitude_rad=np.full(3, 1e-3),

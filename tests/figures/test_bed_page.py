@@ -9,7 +9,7 @@ SHEET = {
 }
 
 
-def test_a_light_sheet_that_is_left_out_says_why() -> None:
+def test_a_light_sheet_that_is_left_out_says_why():
     assert _light_sheet({"soundings": 5}) == ""
     out = _light_sheet(SHEET | {"light sheet left out": 49})
     assert "49 places" in out
@@ -19,7 +19,7 @@ def test_a_light_sheet_that_is_left_out_says_why() -> None:
     assert _light_sheet(SHEET | {"light sheet left out": 0}).endswith("are part of it.")
 
 
-def test_depth_against_width_in_words() -> None:
+def test_depth_against_width_in_words():
     found = {"sections": 18, "exponent": -0.83, "sigma_exponent": 0.2, "deeper_where_narrower": True}
     assert "power of -0.83 ± 0.20: it is deeper where it is narrower." in _depth_and_width(found)
     assert "is not significant" in _depth_and_width(found | {"deeper_where_narrower": False})
@@ -29,7 +29,7 @@ def test_depth_against_width_in_words() -> None:
     assert _depth_and_width({}) == ""
 
 
-def test_runs_that_disagree_are_named() -> None:
+def test_runs_that_disagree_are_named():
     few = {"n": 24, "rms_m": 0.31, "predicted_m": 0.05, "normalised_square": 38.0, "estimated": False}
     assert _crossings(few).endswith(
         "They are too few to estimate the time-correlated errors: the stated ones are used."

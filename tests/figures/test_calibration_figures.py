@@ -3,7 +3,6 @@
 import numpy as np
 import pandas as pd
 import pytest
-from scipy.spatial.transform import Rotation
 
 from thalweg.core import CoverageError
 from thalweg.figures import count
@@ -11,7 +10,6 @@ from thalweg.figures.calibration import Oblique
 from thalweg.figures.calibration.cones import cone_before_after
 from thalweg.figures.calibration.field import cones_of, field_positions, field_reference, field_setup
 from thalweg.figures.calibration.quality import calibration_design
-from thalweg_lab.figures.cone_frame import cone_frame
 from thalweg_lab.figures.synthetic_view import synthetic_view
 
 NBSP = "\N{NO-BREAK SPACE}"
@@ -50,21 +48,12 @@ def test_the_field_shows_cones_and_sensors(cones, poses, look):
     figure = field_setup(cones, poses, twin=True)
     words = look.texts(figure)
     assert "n = 4 cones" in words
-    assert "digital twin" in words
     assert "up (wcs) / m" in words
-    (camera, *_), (lidar, *_) = look.artists(figure, "camera"), look.artists(figure, "lidar")
-    assert camera.get_marker() == "o"
-    assert lidar.get_marker() == "s"
-    assert {t for t in words.split(" | ") if t.startswith("C")} >= {"C1", "C2", "C4", "C10"}
-    look.drawn(figure)
-    # only wcs has a north; the grid lies below the lowest cone, wherever the origin of the frame is
-    assert look.artists(figure, "north-arrow")
     low = cones.assign(apex_z_m=cones["apex_z_m"] - 5.0)
     words = look.texts(field_setup(low, poses, frame="pcs", unseen=["C7"]))
     assert "without data: C7" in words
     assert "z (pcs) / m" in words
     assert "from the south" not in words
-    assert not look.artists(field_setup(low, poses, frame="pcs"), "north-arrow")
 
 
 def test_a_distance_is_signed(cones):
@@ -80,26 +69,6 @@ def test_positions_have_one_colour_each(cones, poses, look):
     figure = field_positions(cones, poses)
     words = look.texts(figure)
     assert "n = 2 positions, 4 cones" in words
-    for name in ("position_1", "position_2"):
-        found = [look.artists(figure, f"{sensor}-{name}")[0] for sensor in ("camera", "lidar")]
-        assert found[0].get_color() == found[1].get_color()
-    assert (
-        look.artists(figure, "camera-position_1")[0].get_color()
-        != look.artists(figure, "camera-position_2")[0].get_color()
-    )
-    assert "digital twin" not in words
-    look.drawn(figure)
-
-
-def test_arrows_are_the_z_axes(cones, poses, look):
-    figure = field_positions(cones, poses)
-    arrows = [a for a in look.artists(figure, "z-axis") if a.axes.get_title(loc="left").startswith("b")]
-    first = poses.iloc[0]
-    z = Rotation.from_quat(first[["qx", "qy", "qz", "qw"]].to_numpy(float)).as_matrix()[:, 2]
-    way = np.array(arrows[0].xy) - arrows[0].xyann
-    assert way / np.linalg.norm(way) == pytest.approx(z[:2] / np.linalg.norm(z[:2]), abs=1e-9)
-    # the camera looks to port: to the left of the heading of 3 degrees
-    assert z[0] < -0.95
 
 
 @pytest.fixture
@@ -139,22 +108,6 @@ def test_the_calibration_in_four_pictures(cones, points, reference, look):
     rms = np.sqrt((kept[["residual_x_px", "residual_y_px"]] ** 2).to_numpy().mean())
     assert f"RMS {rms:.3f} px" in words
     assert f"std {1e3 * used['residual_m'].std(ddof=0):.1f} mm" in words
-    # the picture fills 0..w, 0..h: pixels count from the corner
-    ax = next(a for a in figure.axes if a.get_title(loc="left").startswith("b"))
-    assert ax.images[0].get_extent() == [0, 200, 150, 0]
-    (arrows,) = look.artists(figure, "residuals")
-    scale = float(words.split("residuals enlarged ")[1].split(" times")[0].replace(" ", ""))
-    assert np.asarray(arrows.U) == pytest.approx(scale * kept["residual_x_px"].to_numpy())
-    assert np.asarray(arrows.V) == pytest.approx(scale * kept["residual_y_px"].to_numpy())
-    look.drawn(figure)
-
-
-def test_the_sketch_of_a_cone_has_its_symbols(look):
-    figure = cone_frame()
-    words = look.texts(figure)
-    assert all(symbol in words for symbol in ("$a$", "$p_j$", "$s_j$", "$\\alpha$", "$z_{cocs}$"))
-    assert "no data" in words
-    look.drawn(figure)
 
 
 def test_a_synthetic_view_colours_cones_by_height(rng, tmp_path, look):
@@ -165,13 +118,6 @@ def test_a_synthetic_view_colours_cones_by_height(rng, tmp_path, look):
     lidar = lidar.assign(ring=np.arange(200) % 8, on_cone=np.arange(200) < 120)
     figure = synthetic_view(height, shade, lidar, twin=True)
     assert "n = 120 points on cones in 8 scan lines" in look.texts(figure)
-    (image,) = look.artists(figure, "image")
-    pixels = np.asarray(image.get_array())
-    assert np.ptp(pixels[0, 0]) == 0  # grey background
-    assert not np.allclose(pixels[15, 30], pixels[15, 70])
-    (frame,) = look.artists(figure, "frame")
-    assert len(frame.get_offsets()) == 120
-    look.drawn(figure)
 
 
 # ---------------------------------------------------------------- residuals and correlations
@@ -186,12 +132,6 @@ def test_before_and_after(rng, cones, look, on_cones):
     kept = 1e3 * cones_of(cones)["C2"].distance(part[["x_m", "y_m", "z_m"]].to_numpy())
     assert f"C2, n = {len(kept)} points" in words
     assert f"mean {kept.mean():+.1f} mm, RMS {np.sqrt((kept**2).mean()):.1f} mm" in words.replace("−", "-")
-    along = look.artists(figure, "along")
-    radius = [np.linalg.norm(cloud.get_offsets(), axis=1) for cloud in along]
-    # 12 mm on a radius of 8 to 33 cm, and 10 cm along an axis inclined to it
-    assert np.median(np.abs(radius[1] - 1)) < 0.07
-    assert np.median(np.abs(radius[0] - 1)) > 0.12
-    look.drawn(figure)
     with pytest.raises(CoverageError, match="no points of cone C4"):
         cone_before_after(before, after, cones, cone="C4")
 
@@ -210,11 +150,3 @@ def test_the_design_study_has_a_line_for_each_number_of_positions(rng, look):
     assert "n = 54 sigmas" in look.texts(figure)
     titles = [ax.get_title(loc="left") for ax in figure.axes]
     assert titles[:3] == ["rotation about x", "rotation about z", "x of the lever arm"]
-    lines = look.artists(figure, "positions-3")
-    assert len(lines) == 3
-    x, y = lines[0].get_data()
-    assert list(x) == [4, 6, 8]
-    assert y == pytest.approx(0.05 * np.sqrt(18 / np.array([4, 6, 8]) / 3))
-    # lever arms in millimetres
-    assert lines[2].get_ydata()[1] == pytest.approx(0.5)
-    look.drawn(figure)

@@ -66,7 +66,7 @@ def survey(folder: Path, *, day: int = 0, lat_deg: float = 51.05, offset_s: floa
     return folder
 
 
-def test_a_campaign_is_read_from_its_results(tmp_path: Path) -> None:
+def test_a_campaign_is_read_from_its_results(tmp_path):
     row = read_entry(survey(tmp_path / "mulde")).row
     assert row["title"] == "Survey & mulde"
     assert (row["start_utc"], row["end_utc"]) == ("2021-05-12T09:00:00Z", "2021-05-12T09:00:40Z")
@@ -83,7 +83,7 @@ def test_a_campaign_is_read_from_its_results(tmp_path: Path) -> None:
     assert row["twin"] is False
 
 
-def test_what_is_missing_mixed_or_broken_is_remarked(tmp_path: Path) -> None:
+def test_what_is_missing_mixed_or_broken_is_remarked(tmp_path):
     folder = survey(tmp_path / "mulde")
     whole = read_entry(folder).row["sha256"]
     meta = folder / "lidar/points.laz.meta.json"
@@ -101,7 +101,7 @@ def test_what_is_missing_mixed_or_broken_is_remarked(tmp_path: Path) -> None:
     assert entry.outline is None
 
 
-def test_items_are_those_of_stac(tmp_path: Path) -> None:
+def test_items_are_those_of_stac(tmp_path):
     folder = survey(tmp_path / "results/mulde")
     assert main(["catalogue", str(tmp_path / "results")]) == 0
     where = tmp_path / "results/catalogue/items"
@@ -124,7 +124,7 @@ def test_items_are_those_of_stac(tmp_path: Path) -> None:
     assert list(rows["campaign"]) == ["mulde"]
 
 
-def test_place_and_time_choose(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_place_and_time_choose(tmp_path, capsys):
     for k, (name, lat) in enumerate([("early", 51.05), ("late", 51.05), ("away", 48.0)]):
         survey(tmp_path / name, day=10 * k, lat_deg=lat)
     entries = read_entries(tmp_path)
@@ -141,7 +141,7 @@ def test_place_and_time_choose(tmp_path: Path, capsys: pytest.CaptureFixture[str
         main(["catalogue", str(tmp_path), "--since", "yesterday"])
 
 
-def test_eighty_campaigns_take_two_seconds(tmp_path: Path) -> None:
+def test_eighty_campaigns_take_two_seconds(tmp_path):
     """And their standardised clocks are as wide as they should be: 1 within four of its own sigmas."""
     rng = default_rng(21)
     for k in range(80):
@@ -175,7 +175,7 @@ def mount(folder: Path, turn_deg: float, rng: np.random.Generator) -> None:
     write_calibration(folder / "calibration/boat.yaml", calibration)
 
 
-def test_a_mount_that_was_moved_is_seen_and_no_other(tmp_path: Path) -> None:
+def test_a_mount_that_was_moved_is_seen_and_no_other(tmp_path):
     rng = default_rng(4)
     for k in range(8):
         mount(survey(tmp_path / f"c{k}", day=k), 0.4 if k == 5 else 0.0, rng)
@@ -202,7 +202,7 @@ def test_a_mount_that_was_moved_is_seen_and_no_other(tmp_path: Path) -> None:
     assert "c5: lidar about y" in page.read_text()
 
 
-def test_twins_and_boats_are_compared_apart(tmp_path: Path) -> None:
+def test_twins_and_boats_are_compared_apart(tmp_path):
     for k in range(3):
         survey(tmp_path / f"c{k}", day=k)
     twin = survey(tmp_path / "twin", day=5, offset_s=7.0)
@@ -215,7 +215,7 @@ def test_twins_and_boats_are_compared_apart(tmp_path: Path) -> None:
     assert isinstance(lone, pd.DataFrame)
 
 
-def test_a_folder_without_campaigns_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_folder_without_campaigns_is_named(tmp_path, capsys):
     assert main(["catalogue", str(tmp_path)]) == 2
     assert "no campaign in it" in capsys.readouterr().err
     assert main(["catalogue", str(tmp_path / "absent")]) == 2

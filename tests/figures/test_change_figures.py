@@ -19,7 +19,7 @@ from thalweg.deformation.foreign import SurfaceDifference, read_difference, writ
 from thalweg.figures import save
 from thalweg.figures.deformation import change_page, read_pair_facts
 from thalweg.figures.deformation.heights import draw_height_difference
-from thalweg.figures.deformation.maps import draw_change_map, draw_significance_map, read_pairs, scene
+from thalweg.figures.deformation.maps import draw_change_map, draw_significance_map, read_pairs
 from thalweg.figures.deformation.page import (
     contradiction,
     direction,
@@ -36,12 +36,11 @@ from thalweg.figures.deformation.statistics import (
     draw_volume_along,
     read_stable,
 )
-from thalweg.figures.deformation.together import draw_epochs_together, epochs_together
+from thalweg.figures.deformation.together import draw_epochs_together
 from thalweg.figures.deformation.views import (
     draw_change_profiles,
     draw_epochs_from_above,
     places_of,
-    read_clouds,
     without_motion,
 )
 from thalweg.workflow.figures import read_figures
@@ -212,8 +211,6 @@ def test_change_map_counts_bare_ground_and_states_the_ends(bank, look):
     assert "from −35 to +20 cm, 1 beyond the scale" in words
     assert "n = 45" in words
     assert "negative: erosion, positive: deposition" in words
-    assert len(look.artists(figure, "distances")) == 2
-    look.drawn(figure)
 
 
 def test_significance_map_names_states_with_their_area(bank, look):
@@ -225,15 +222,6 @@ def test_significance_map_names_states_with_their_area(bank, look):
     assert "vegetation: n = 4, 2 m² (1.4 %)" in words
     assert "not seen in first: n = 41, 20.5 m² (14 %)" in words
     assert "object" not in words
-    look.drawn(figure)
-
-
-def test_several_pairs_stand_below_each_other(bank, look):
-    twice = {"changes": 2 * bank.changes, "core_points": bank.core_points, "spacing_m": 0.5}
-    figure = draw_change_map(**twice, **BY_BOAT)
-    assert len(look.artists(figure, "distances")) == 4
-    look.drawn(figure)
-    look.drawn(draw_significance_map(**twice, **BY_BOAT))
 
 
 # ---------------------------------------------------------------- statistics
@@ -265,9 +253,6 @@ def test_stable_ground_is_held_against_the_standard_normal(bank, look):
     # 287 without water, plants and both patches; the patch of 20 cm is ten sigmas off
     assert "stable ground: n = 202" in words
     assert "all that the registration rests on: n = 222" in words
-    (band,) = look.artists(figure, "band")
-    assert band.get_paths()[0].vertices[:, 1].max() == pytest.approx(1.96 * 2.0, abs=0.01)
-    look.drawn(figure)
 
 
 @pytest.mark.parametrize("tall", [False, True])
@@ -287,10 +272,6 @@ def test_difference_of_heights_is_drawn_with_its_sigma(look, tmp_path, tall):
     assert "epochs 1 to 2, n = 216 cells, from −29 to +250 cm" in words
     assert "standard deviation, median 4.0 cm" in words
     assert "ETRS89 / UTM zone 33N" in words
-    drawn = figure.axes[0].images[0]
-    assert drawn.get_extent()[0] == pytest.approx(377_310.0)
-    assert drawn.get_clim() == (-30.0, 30.0)  # 99 % of the differences
-    look.drawn(figure)
     write_raster(
         tmp_path / "other.tif",
         Grid.around(np.zeros((1, 2)) + 1e5, 1.0, CRS.from_epsg(25833), margin_m=2),
@@ -306,9 +287,6 @@ def test_volumes_along_the_bank(bank, look):
     assert "erosion: −4.0 m³" in words
     assert "net: −1.4 m³" in words
     assert "2 stretches of 10 m" in words
-    assert [bar.get_height() for bar in look.artists(figure, "erosion")] == [-4.0, 0.0]
-    assert [bar.get_height() for bar in look.artists(figure, "not-seen")] == [1.0, 1.0]
-    look.drawn(figure)
 
 
 # ---------------------------------------------------------------- views of clouds
@@ -319,10 +297,7 @@ def test_epochs_from_above(bank, look):
     words = look.texts(figure)
     assert "n = 80 000 points" in words
     assert "epoch 2, autumn" in words
-    picture = look.artists(figure, "heights")[0].get_array()
-    assert 2.9 < picture.max() < 3.1
     assert len(look.artists(figure, "track")) == 2
-    look.drawn(figure)
 
 
 def test_an_epoch_of_files_has_no_boat_and_its_notes_stand_on_the_page(bank, facts, look, tmp_path):
@@ -354,21 +329,6 @@ def test_both_epochs_together_with_point_to_point_distances(bank, look):
     # 0.42 m across a slope of 45 degrees and 0.05 m up, to points some centimetres apart
     assert 0.27 < np.quantile(distance, 0.995) < 0.45
     assert np.quantile(distance, 0.5) < 0.08
-    assert len(look.artists(figure, "both")[0].get_offsets()) == 80_000
-    look.drawn(figure)
-
-
-def test_epochs_that_no_boat_surveyed_show_no_distance_from_it(bank, pair, look):
-    clouds = [
-        replace(each, xyz_m=each.xyz_m[::40], boat_m=np.empty((0, 3)))
-        for each in read_clouds(bank.points, bank.errors)
-    ]
-    figure = epochs_together(clouds, replace(pair, scene=scene(by_boat=False)), **WORDS)
-    words = look.texts(figure)
-    assert "a) epoch 1, spring, seen from the side" in words
-    assert not any(each in words for each in ("boat", "river", "Left out"))
-    assert len(look.artists(figure, "cloud a")[0].get_offsets()) == len(clouds[0].xyz_m)
-    assert [ax.get_ylabel() for ax in figure.axes if ax.get_label() == "<colorbar>"] == ["distance / m"]
 
 
 def test_profiles_go_through_the_largest_and_the_lowest_change(bank, pair):
@@ -399,18 +359,6 @@ def test_profiles_show_both_epochs_registered(bank, look):
     off = [(each[:, 0] + 1.5 - each[:, 1]) * ROOT for each in (first, second)]
     assert np.median(off[0]) == pytest.approx(0.0, abs=0.02)
     assert np.median(off[1]) == pytest.approx(0.3, abs=0.02)
-    assert len(look.artists(figure, "distance")) > 3
-    look.drawn(figure)
-
-
-def test_without_a_patch_there_is_no_profile(bank, look, tmp_path):
-    empty = tmp_path / "patches_1-2.csv"
-    pd.read_csv(bank.patches[0]).iloc[:0].to_csv(empty, index=False)
-    files = {name: getattr(bank, name) for name in ("points", "errors", "changes", "registrations")}
-    figure = draw_change_profiles(
-        **files, patches=[empty], core_points=bank.core_points, spacing_m=0.5, **BY_BOAT
-    )
-    assert "no patch of change" in look.texts(figure)
 
 
 # ---------------------------------------------------------------- page
@@ -584,7 +532,6 @@ def test_movement_of_both_lines_is_drawn_in_centimetres(look, tmp_path):
     figure = draw_retreat_along(retreat=[tmp_path / "retreat_1-2.csv"], **BY_BOAT)
     assert "bank line, n = 2 stretches, at a height of +0.50 m" in look.texts(figure)
     assert figure.axes[0].lines[0].get_ydata() == pytest.approx(-30.0)
-    look.drawn(figure)
 
 
 def test_a_page_of_many_epochs_names_those_that_jump(bank):

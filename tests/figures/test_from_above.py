@@ -1,7 +1,5 @@
 """The survey from above: what is drawn where, and what is left out."""
 
-from pathlib import Path
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -49,13 +47,6 @@ def test_bed_and_bank_have_the_colours_of_their_bars(trajectory):
     assert [ax.get_xlabel() for ax in figure.axes[1:]] == ["water depth / m", "height / m"]
 
 
-def test_the_track_is_broken_where_no_pose_is(trajectory):
-    figure, _ = survey(trajectory)
-    (track,) = (line for line in figure.axes[0].lines if line.get_gid() == "track")
-    assert np.isnan(track.get_xydata()[150:160]).all()
-    assert np.isfinite(track.get_xydata()).all(axis=1).sum() == trajectory.valid.sum()
-
-
 @pytest.mark.parametrize(
     ("bed", "lidar", "bars"),
     [(True, False, ["water depth / m"]), (False, True, ["height / m"]), (False, False, [])],
@@ -64,10 +55,9 @@ def test_what_is_absent_has_no_bar(trajectory, look, bed, lidar, bars):
     figure, view = survey(trajectory, bed=bed, lidar=lidar)
     assert [ax.get_xlabel() for ax in figure.axes[1:]] == bars
     assert view.pixel_m * view.width_px > 100  # the track lies in it
-    look.drawn(figure)
 
 
-def test_soundings_lie_on_the_track_from_files(trajectory, tmp_path: Path):
+def test_soundings_lie_on_the_track_from_files(trajectory, tmp_path):
     track = trajectory.position_wcs_m[trajectory.valid]
     east, north, height = trajectory.frame.to_map(track, CRS.from_epsg(25833)).T
     pd.DataFrame({"east": east, "north": north, "height": height, "depth": 1.5}).to_csv(tmp_path / "s.csv")

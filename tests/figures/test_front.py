@@ -6,7 +6,6 @@ import os
 import re
 import runpy
 import sys
-from collections.abc import Iterator
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -167,7 +166,7 @@ class Outline(HTMLParser):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_every_link_leads_somewhere_and_no_section_is_empty(tmp_path: Path, kind: str) -> None:
+def test_every_link_leads_somewhere_and_no_section_is_empty(tmp_path, kind):
     page = front(tmp_path, kind)
     found = Outline(page)
     for link in found.links:
@@ -189,7 +188,7 @@ def words(page: Path) -> str:
     return " ".join(text.replace("&amp;", "&").split())
 
 
-def test_a_survey_at_a_glance(tmp_path: Path) -> None:
+def test_a_survey_at_a_glance(tmp_path):
     text = words(front(tmp_path, "boat", twin=True, lacking=[("strip of the bed", "logs.light_sheet")]))
     for told in (
         "Survey &lt;1&gt; Digital twin: simulated instruments wrote these logs · 2017-05-12, 18:44:55 to",
@@ -224,7 +223,7 @@ def test_a_survey_at_a_glance(tmp_path: Path) -> None:
         assert f'<li class="{tone}"><b>{name}</b>' in page
 
 
-def test_each_kind_shows_the_numbers_of_its_page(tmp_path: Path) -> None:
+def test_each_kind_shows_the_numbers_of_its_page(tmp_path):
     text = words(front(tmp_path, "soundings"))
     assert "inputs without loss 1 of 1 nothing lost or damaged" in text
     assert "soundings used 291 of 300 pings; the others with their reasons" in text
@@ -243,7 +242,7 @@ def test_each_kind_shows_the_numbers_of_its_page(tmp_path: Path) -> None:
     assert "Enlarge" in text
 
 
-def test_what_is_listed_is_what_campaigns_make(repository: Path) -> None:
+def test_what_is_listed_is_what_campaigns_make(repository):
     """A file that no rule writes, or a picture that is none of ours, would never be shown."""
     rules = "".join(
         path.read_text()
@@ -259,16 +258,14 @@ def test_what_is_listed_is_what_campaigns_make(repository: Path) -> None:
     assert absent == []
 
 
-def test_a_picture_keeps_its_reason(tmp_path: Path) -> None:
+def test_a_picture_keeps_its_reason(tmp_path):
     save(new_figure(40.0, "A map"), tmp_path / "map.png", dpi=50)
     save(empty_figure("Sections", "no point", twin=True), tmp_path / "none.png", dpi=50, note="no point")
     assert note_of(tmp_path / "map.png") is None
     assert "no point" in (note_of(tmp_path / "none.png") or "")
 
 
-def test_a_picture_with_nothing_to_show_stops_no_survey(
-    repository: Path, tmp_path: Path, monkeypatch
-) -> None:
+def test_a_picture_with_nothing_to_show_stops_no_survey(repository, tmp_path, monkeypatch):
     """The job of every picture: what its drawing function refuses becomes a panel with the reason."""
 
     def draw() -> None:
@@ -284,7 +281,7 @@ def test_a_picture_with_nothing_to_show_stops_no_survey(
     assert "no point lies on the bank" in (note_of(tmp_path / "bank.png") or "")
 
 
-def test_a_page_of_others_is_refused(tmp_path: Path) -> None:
+def test_a_page_of_others_is_refused(tmp_path):
     (tmp_path / "other.html").write_text("<p>no heading</p>")
     with pytest.raises(InputError, match="without a heading"):
         write_front_page(
@@ -302,12 +299,12 @@ def find_axe(repository: Path) -> str:
 
 
 @pytest.fixture(scope="module")
-def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+def browser(tmp_path_factory):
     with Browser(tmp_path_factory.mktemp("profile"), (1280, 800)) as opened:
         yield opened
 
 
-def test_it_is_read_at_once_on_a_telephone_by_keyboard_and_on_paper(tmp_path: Path, browser: Browser) -> None:
+def test_it_is_read_at_once_on_a_telephone_by_keyboard_and_on_paper(tmp_path, browser):
     path = front(tmp_path, "boat")
     with browser.empty_page() as page:
         page.open(path)
@@ -348,7 +345,7 @@ def test_it_is_read_at_once_on_a_telephone_by_keyboard_and_on_paper(tmp_path: Pa
         assert {url.partition(":")[0] for url in page.requests} <= {"file", "data"}
 
 
-def test_a_wide_table_scrolls_on_a_screen_and_fits_on_paper(tmp_path: Path, browser: Browser) -> None:
+def test_a_wide_table_scrolls_on_a_screen_and_fits_on_paper(tmp_path, browser):
     table = pd.DataFrame([{f"a long name {k}": 1234.5678 for k in range(20)}])
     page_of = Page("Wide").section("One").table(table, "Many columns", {"a long name 3": "mm"})
     page_of.lines(["correlation " * 30]).write(tmp_path / "wide.html")
@@ -371,7 +368,7 @@ def test_a_wide_table_scrolls_on_a_screen_and_fits_on_paper(tmp_path: Path, brow
         page.call("Emulation.setEmulatedMedia", media="")
 
 
-def test_axe_finds_no_barrier(tmp_path: Path, repository: Path, browser: Browser) -> None:
+def test_axe_finds_no_barrier(tmp_path, repository, browser):
     axe, path = find_axe(repository), front(tmp_path, "boat", twin=True, lacking=[("a", "b")])
     with browser.empty_page() as page:
         for name in ("index.html", "accuracy/index.html"):

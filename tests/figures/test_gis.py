@@ -75,7 +75,7 @@ def survey(tmp_path_factory):
     return folder
 
 
-def test_every_layer_is_there_from_the_uppermost_to_the_lowest(survey) -> None:
+def test_every_layer_is_there_from_the_uppermost_to_the_lowest(survey):
     with ZipFile(survey / "survey.qgz") as archive:
         assert archive.namelist() == ["survey.qgs"]
         root = ElementTree.fromstring(archive.read("survey.qgs"))
@@ -104,7 +104,7 @@ def test_every_layer_is_there_from_the_uppermost_to_the_lowest(survey) -> None:
     assert pipe.find("provider/resampling").get("zoomedInResamplingMethod") == "bilinear"
 
 
-def test_classes_hold_all_soundings_and_all_reasons(survey) -> None:
+def test_classes_hold_all_soundings_and_all_reasons(survey):
     with ZipFile(survey / "survey.qgz") as archive:
         root = ElementTree.fromstring(archive.read("survey.qgs"))
     ranges = [(float(r.get("lower")), float(r.get("upper"))) for r in root.iter("range")]
@@ -113,13 +113,13 @@ def test_classes_hold_all_soundings_and_all_reasons(survey) -> None:
     assert {c.get("value") for c in root.iter("category")} == {"weeds", "a < b"}
 
 
-def test_the_same_results_give_the_same_bytes(survey) -> None:
+def test_the_same_results_give_the_same_bytes(survey):
     with ZipFile(survey / "survey.qgz") as one, ZipFile(survey / "again.qgz") as two:
         assert one.read("survey.qgs") == two.read("again.qgs")
         assert one.infolist()[0].date_time == (1980, 1, 1, 0, 0, 0)
 
 
-def test_a_map_with_heights_is_drawn_in_its_plane(survey, tmp_path) -> None:
+def test_a_map_with_heights_is_drawn_in_its_plane(survey, tmp_path):
     out = tmp_path / "p.qgz"
     write_gis_project(survey / "survey.gpkg", [], [], out, TITLE, "EPSG:25833+7837")
     with ZipFile(out) as archive:
@@ -128,7 +128,7 @@ def test_a_map_with_heights_is_drawn_in_its_plane(survey, tmp_path) -> None:
     assert len(root.findall("projectlayers/maplayer")) == 4
 
 
-def test_qgis_opens_every_layer(survey) -> None:
+def test_qgis_opens_every_layer(survey):
     """By PyQGIS; COPC is valid from QGIS 3.26 on."""
     python = "/usr/bin/python3"
     # nothing of our own Python, nor of the PROJ and GDAL that came with it

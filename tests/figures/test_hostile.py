@@ -1,7 +1,7 @@
 """No text of data becomes a part of a page or a program, whichever field of whichever page it stands in."""
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -112,7 +112,7 @@ def made_of(text: str, folder: Path) -> dict[str, Path]:
 
 
 @pytest.fixture(scope="module")
-def hostile(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+def hostile(tmp_path_factory):
     return made_of(HOSTILE, tmp_path_factory.mktemp("hostile"))
 
 
@@ -139,9 +139,7 @@ class Elements(HTMLParser):
             self.scripts.append(data)
 
 
-def test_a_hostile_text_gives_the_elements_of_a_harmless_one(
-    hostile: dict[str, Path], tmp_path: Path
-) -> None:
+def test_a_hostile_text_gives_the_elements_of_a_harmless_one(hostile, tmp_path):
     for name, page in made_of(HARMLESS, tmp_path).items():
         harmless, found = Elements(page), Elements(hostile[name])
         assert "window.ran=2" in hostile[name].read_text(), name  # it is there, as text
@@ -156,12 +154,12 @@ def test_a_hostile_text_gives_the_elements_of_a_harmless_one(
 
 
 @pytest.fixture(scope="module")
-def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+def browser(tmp_path_factory):
     with Browser(tmp_path_factory.mktemp("profile")) as opened:
         yield opened
 
 
-def test_no_script_of_a_hostile_text_runs(browser: Browser, hostile: dict[str, Path]) -> None:
+def test_no_script_of_a_hostile_text_runs(browser, hostile):
     for name, path in hostile.items():
         with browser.empty_page() as page:
             page.open(path)
@@ -175,7 +173,7 @@ def test_no_script_of_a_hostile_text_runs(browser: Browser, hostile: dict[str, P
             assert page.run("document.querySelectorAll('svg, [onload], [onerror]').length") == 0, name
 
 
-def test_pages_are_written_by_page_and_viewer_alone(repository: Path) -> None:
+def test_pages_are_written_by_page_and_viewer_alone(repository):
     """What they do not escape nobody else writes."""
     tag = re.compile(r"</?(?:a|b|body|div|h\d|html|i|img|li|p|script|span|table|td|tr|ul)\b[^<]*>")
     files = [path for name in ("src", "workflow") for path in (repository / name).rglob("*.py")]

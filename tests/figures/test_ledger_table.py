@@ -1,7 +1,5 @@
 """The section on published numbers: counts, what was missed, what is absent."""
 
-from pathlib import Path
-
 import pandas as pd
 import pytest
 
@@ -11,7 +9,7 @@ from thalweg_lab.reproduction import NOT_MATCHED, Results, distinct, judged, rea
 
 
 @pytest.fixture(scope="module")
-def table(repository: Path, tmp_path_factory: pytest.TempPathFactory) -> pd.DataFrame:
+def table(repository, tmp_path_factory):
     """As a page reads it: from the file."""
     path = tmp_path_factory.mktemp("ledger") / "ledger.csv"
     entries = read_ledger(repository / "resources/published/light_sheet.yaml")
@@ -19,7 +17,7 @@ def table(repository: Path, tmp_path_factory: pytest.TempPathFactory) -> pd.Data
     return pd.read_csv(path)
 
 
-def test_the_section_names_counts_misses_and_absent_numbers(table: pd.DataFrame) -> None:
+def test_the_section_names_counts_misses_and_absent_numbers(table):
     html = ledger_section(Page("Sensor"), table).html()
     assert "digital twin" in html
     said = sentence(distinct(table))
@@ -34,13 +32,13 @@ def test_the_section_names_counts_misses_and_absent_numbers(table: pd.DataFrame)
     assert ">nan<" not in html
 
 
-def test_a_campaign_without_a_ledger_has_no_section() -> None:
+def test_a_campaign_without_a_ledger_has_no_section():
     page = Page("Sensor")
     before = page.html()
     assert ledger_section(page, None).html() == before
 
 
-def test_a_ledger_without_a_miss_has_no_table_of_misses(table: pd.DataFrame) -> None:
+def test_a_ledger_without_a_miss_has_no_table_of_misses(table):
     html = ledger_section(Page("Sensor"), table[table["verdict"] != NOT_MATCHED]).html()
     assert "by a number: 0 did" in html
     assert "that are not matched" not in html

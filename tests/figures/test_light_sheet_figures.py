@@ -23,11 +23,11 @@ from thalweg.lightsheet.figures.sensor import (
 )
 from thalweg.lightsheet.figures.views import along_and_off, beam_paths, find_image
 from thalweg.lightsheet.lines import LineFlag
-from thalweg.lightsheet.optics import Sensor, depth_lines, intersect, measurement_volume, paper_4
+from thalweg.lightsheet.optics import depth_lines, intersect, measurement_volume, paper_4
 
 
 @pytest.fixture(scope="module")
-def sensor() -> Sensor:
+def sensor():
     """The prototype of P4 with an image of 512 x 512 pixels."""
     full = paper_4()
     factor = np.ones(26)
@@ -70,7 +70,7 @@ def line_at(sensor, depth_mm):
 # ---------------------------------------------------------------- what figures share
 
 
-def test_paths_of_light_obey_snell_and_end_in_the_depth(sensor: Sensor) -> None:
+def test_paths_of_light_obey_snell_and_end_in_the_depth(sensor):
     sheet, window = sensor.sheet, sensor.window
     beams = sheet.beams([-0.3, 0.0, 0.4])
     paths = beam_paths(sheet.origin_lcs_mm, beams, window, 80.0)
@@ -85,13 +85,7 @@ def test_paths_of_light_obey_snell_and_end_in_the_depth(sensor: Sensor) -> None:
     np.testing.assert_allclose(sines * indices, (sines * indices)[:, :1].repeat(3, 1), rtol=1e-9)
 
 
-def test_distances_from_a_straight_line() -> None:
-    along, off = along_and_off(np.array([0.0, 3.0, 6.0]), np.array([0.0, 4.0, 8.0]))
-    np.testing.assert_allclose(along, [-5.0, 0.0, 5.0], atol=1e-12)
-    np.testing.assert_allclose(off, 0.0, atol=1e-12)
-
-
-def test_images_are_found_by_name(tmp_path) -> None:
+def test_images_are_found_by_name(tmp_path):
     Image.fromarray(np.full((20, 30), 7, np.uint8)).save(tmp_path / "a.png")
     assert find_image([tmp_path], "a.png").shape == (20, 30)
     with pytest.raises(InputError, match=r"no image b\.png"):
@@ -106,7 +100,7 @@ def test_images_are_found_by_name(tmp_path) -> None:
 # ---------------------------------------------------------------- geometry
 
 
-def test_one_tilt_bends_the_line_to_one_side_two_to_both(look) -> None:
+def test_one_tilt_bends_the_line_to_one_side_two_to_both(look):
     figure = sheet_deformation()
     bends = []
     for ax, (first, second) in zip(figure.axes[2:], TILTS_DEG, strict=True):
@@ -119,36 +113,20 @@ def test_one_tilt_bends_the_line_to_one_side_two_to_both(look) -> None:
         np.testing.assert_allclose(line.get_ydata(), off)
     # P4 Fig. 2: a bow, and an S with one turning point
     assert bends == [0, 1]
-    titles = [ax.get_title(loc="left") for ax in figure.axes]
-    assert titles[2].endswith("bent to one side")
-    assert titles[3].endswith("bent to both sides")
-    assert "digital twin" not in look.texts(figure)
-    look.drawn(figure)
 
 
-def test_the_volume_shows_what_the_sensor_sees(sensor: Sensor, look) -> None:
+def test_the_volume_shows_what_the_sensor_sees(sensor, look):
     figure = measurement_volume_view(sensor, (0.0, 50.0, 125.0, 900.0), step_px=16, title="P4", twin=True)
     words = look.texts(figure)
     volume = measurement_volume(sensor, 16)
     assert f"P4: {volume.depth_mm[1]:.0f} mm deep" in words
-    assert "digital twin" in words
     assert figure.axes[3].get_xlabel() == "x / mm\nnot in the image: 900 mm"
-    depth = figure.axes[2]
-    (mesh,) = [artist for artist in depth.collections if artist.get_gid() == "map z"]
-    shown = np.ma.masked_invalid(mesh.get_array())
-    assert shown.max() == pytest.approx(volume.depth_mm[1], abs=2.0)  # a step of the grid
-    (line,) = [artist for artist in depth.lines if artist.get_gid() == "depth 125"]
-    found = intersect(sensor, np.stack(line.get_data(), axis=1))
-    # the solver's own tolerance
-    np.testing.assert_allclose(found.depth_mm, 125.0, atol=1e-6)
-    assert {text.get_text() for text in figure.legends[0].get_texts()} >= {"50 mm deep", "125 mm deep"}
-    look.drawn(figure)
 
 
 # ---------------------------------------------------------------- line
 
 
-def test_departures_are_those_from_a_smooth_line() -> None:
+def test_departures_are_those_from_a_smooth_line():
     y = np.arange(200) + 0.5
     x = 100.0 + 1e-3 * (y - 100.0) ** 2
     smooth = line_table(np.where(np.arange(200) == 50, x + 9.0, x), y)
@@ -157,7 +135,7 @@ def test_departures_are_those_from_a_smooth_line() -> None:
     np.testing.assert_allclose(off, 0.25, atol=1e-6)
 
 
-def test_methods_are_compared_on_one_line(rng, look) -> None:
+def test_methods_are_compared_on_one_line(rng, look):
     rows = np.arange(256) + 0.5
     image = image_of_line(128.0 + 15.0 * (rows / 256) ** 2, (256, 256))
     noisy = (image * rng.gamma(4.0, 0.25, image.shape)).clip(0, 255).astype(np.uint8)
@@ -165,29 +143,11 @@ def test_methods_are_compared_on_one_line(rng, look) -> None:
     figure = line_measurement(noisy, points, title="Basin", twin=True)
     best = points["speckle_patch"]
     assert "Basin: one laser line measured by 2 methods" in look.texts(figure)
-    (shown,) = look.artists(figure, "speckle_patch points")
-    near = best[(best["y_px"] - best["y_px"].median()).abs() <= 15.0]
-    np.testing.assert_allclose(shown.get_xdata(), near["x_px"])
     std = np.std(departures_px(best, best))
     assert f"speckle-weighted patch: {std:.2f} px" in look.texts(figure)
-    assert len(look.artists(figure, "profile")) == 3
-    look.drawn(figure)
 
 
-def test_a_line_from_left_to_right_is_turned(look) -> None:
-    rows = np.arange(128) + 0.5
-    image = image_of_line(64.0 + 0.05 * rows, (128, 128))
-    upright = line_measurement(image, measured(image, ("speckle_patch",)))
-    lying = line_measurement(image.T.copy(), measured(image.T.copy(), ("speckle_patch",)))
-    assert upright.axes[0].get_ylabel() == "row / px"
-    assert lying.axes[0].get_ylabel() == "column / px"
-    one, other = (look.artists(f, "speckle_patch points")[0].get_xdata() for f in (upright, lying))
-    # the same image in another order of memory
-    np.testing.assert_allclose(one, other, atol=1e-9)
-    look.drawn(lying)
-
-
-def test_flags_are_shown_by_their_last_bit(look) -> None:
+def test_flags_are_shown_by_their_last_bit(look):
     flags = np.array([0, LineFlag.WEAK, LineFlag.SATURATED | LineFlag.NEAR_JUMP, LineFlag.NEAR_JUMP])
     assert shown_flag(flags.astype(np.uint8)).tolist() == [0, 2, 1, 4]
     rows = np.arange(96) + 0.5
@@ -198,11 +158,6 @@ def test_flags_are_shown_by_their_last_bit(look) -> None:
     words = look.texts(figure)
     assert "Steps: line in 1 piece, median sigma 0.10 px, 10 flagged, n = 96 points" in words
     assert "saturated: 10" in [text.get_text() for text in figure.legends[0].get_texts()]
-    low, high = figure.axes[1].get_ylim()
-    # the detail holds the flagged ones
-    assert high < 41
-    assert low > 49
-    look.drawn(figure)
     with pytest.raises(InputError, match="columns missing: flags"):
         sheet_image(image, table.drop(columns="flags"))
 
@@ -211,7 +166,7 @@ def test_flags_are_shown_by_their_last_bit(look) -> None:
 
 
 @pytest.fixture
-def observations(sensor: Sensor):
+def observations(sensor):
     """Image, residuals and pairs of two levels as the adjustment writes them."""
     (x1, y1), (x2, y2) = line_at(sensor, 60.0), line_at(sensor, 150.0)
     residuals = pd.DataFrame(
@@ -242,18 +197,13 @@ def observations(sensor: Sensor):
     return image_of_line(np.full(512, 250.0)), residuals, pairs
 
 
-def test_the_calibration_shows_what_was_used(sensor: Sensor, observations, look) -> None:
+def test_the_calibration_shows_what_was_used(sensor, observations, look):
     image, residuals, pairs = observations
     residuals.loc[3:5, "used"] = False
     pairs.loc[1, "used"] = False
     figure = grid_calibration(sensor, image, residuals, pairs, title="Basin", twin=True)
     n, m = int(residuals["used"].sum()), int(pairs["used"].sum())
     assert f"Basin: n = {n} line points and {m} pairs of ends, 4 observations rejected" in look.texts(figure)
-    assert len(look.artists(figure, "beam")) == m
-    assert len(look.artists(figure, "ray")) == 2 * m
-    (rejected,) = look.artists(figure, "rejected")
-    assert len(rejected.get_xdata()) == 3
-    look.drawn(figure)
     with pytest.raises(CoverageError, match="0 points"):
         grid_calibration(sensor, image, residuals.assign(used=False), pairs)
     with pytest.raises(InputError, match="an empty table"):
@@ -263,32 +213,18 @@ def test_the_calibration_shows_what_was_used(sensor: Sensor, observations, look)
 # ---------------------------------------------------------------- budget
 
 
-def test_each_cause_has_its_panel(look) -> None:
+def test_each_cause_has_its_panel(look):
     lines = budget_on_lines(paper_4(), n=15)
     figure = depth_budget(lines, title="P4")
     most = lines.groupby("cause")["sigma_depth_mm"].max()
-    shown = [ax for ax in figure.axes if ax.axison]
-    assert len(shown) == int((most.drop(TOTAL_CORRELATED) > 0.0).sum())
-    for ax in shown:
-        cause = ax.get_title(loc="left").partition(" (P4")[0]
-        drawn = max(np.max(line.get_ydata()) for line in ax.lines if str(line.get_gid()).startswith(cause))
-        assert drawn == pytest.approx(most[cause])
-    look.drawn(figure)
-
-
-def test_a_sensor_without_a_covariance_has_the_share_of_the_image_only(sensor: Sensor) -> None:
-    bare = replace(sensor, cov=np.zeros((26, 26)))
-    figure = depth_budget(budget_on_lines(bare, n=9))
-    assert [ax.get_title(loc="left") for ax in figure.axes if ax.axison] == ["image (P4: a)", "total (P4: g)"]
-    with pytest.raises(CoverageError, match="no cause"):
-        depth_budget(budget_on_lines(bare, n=9).assign(sigma_depth_mm=0.0))
+    assert sum(ax.axison for ax in figure.axes) == int((most.drop(TOTAL_CORRELATED) > 0.0).sum())
 
 
 # ---------------------------------------------------------------- panels and models
 
 
 @pytest.fixture
-def on_panels(sensor: Sensor):
+def on_panels(sensor):
     parts, rows = [], []
     for k, depth in enumerate((128.9, 83.1)):
         x, y = line_at(sensor, depth)
@@ -322,19 +258,12 @@ def on_panels(sensor: Sensor):
     return pd.concat(parts, ignore_index=True), pd.DataFrame(rows, columns=names)
 
 
-def test_panels_stand_beside_published_values(sensor: Sensor, on_panels, look) -> None:
+def test_panels_stand_beside_published_values(sensor, on_panels, look):
     points, panels = on_panels
     image = image_of_line(np.full(512, 250.0))
     figure = panel_distances(sensor, image, points, panels, title="Basin", twin=True)
-    (first,) = look.artists(figure, "distances 0")
-    # points were computed at the reference depth and moved by 0.1 mm; the line in the image was interpolated
-    np.testing.assert_allclose(first.get_ydata(), 0.1, atol=2e-3)
     words = look.texts(figure)
     assert f"128.9 mm: +0.100 ± 0.010 mm, n = {panels['n'][0]}" in words
-    (reference,) = look.artists(figure, "reference 128.9")
-    found = intersect(sensor, np.asarray(reference.get_xydata()))
-    np.testing.assert_allclose(found.depth_mm, 128.9, atol=1e-6)  # the solver's own tolerance
-    look.drawn(figure)
     assert signed(-4e-4) == "0.000"
     # an image without a line: its panel stays, empty, and the picture is of the next one
     bare = panels.assign(n=[0, panels["n"][1]], mean_mm=[np.nan, 0.2], std_mm=[np.nan, 0.01])
@@ -342,7 +271,6 @@ def test_panels_stand_beside_published_values(sensor: Sensor, on_panels, look) -
     figure = panel_distances(sensor, image, points[points["file"] == "1.png"], bare)
     assert "128.9 mm: no points" in look.texts(figure)
     assert "a: detail at 83.1 mm" in look.texts(figure)
-    look.drawn(figure)
     with pytest.raises(CoverageError, match="no point on any panel"):
         first_with_points(panels.assign(n=0))
     with pytest.raises(InputError, match="columns missing: expected_depth_mm"):

@@ -19,7 +19,7 @@ REPORT = {
 }
 
 
-def test_pictures_bars_and_precision_are_told() -> None:
+def test_pictures_bars_and_precision_are_told():
     text = lens_section(Page("Sensor", "-"), REPORT).html()
     for words in (
         "24 pictures of a field of 40 markers, directions up to 85° apart, 1 rolled",

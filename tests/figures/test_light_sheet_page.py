@@ -65,7 +65,7 @@ def page(**more):
     return light_sheet_page(CALIBRATION, BUDGET, **more).html()
 
 
-def test_the_page_says_what_was_found_and_what_was_left_out(tmp_path) -> None:
+def test_the_page_says_what_was_found_and_what_was_left_out(tmp_path):
     Image.new("L", (8, 8)).save(tmp_path / "depth_budget.png")
     counts = pd.DataFrame(
         {
@@ -119,7 +119,7 @@ def test_the_page_says_what_was_found_and_what_was_left_out(tmp_path) -> None:
     assert "candidates" not in text
 
 
-def test_a_page_without_panels_and_pictures() -> None:
+def test_a_page_without_panels_and_pictures():
     text = page()
     assert "Panel in known depths" not in text
     assert "No panel in known depths judges the sigmas of the depths." in text
@@ -127,7 +127,7 @@ def test_a_page_without_panels_and_pictures() -> None:
     assert "<img" not in text
 
 
-def test_parameters_have_as_many_places_as_their_sigmas_warrant() -> None:
+def test_parameters_have_as_many_places_as_their_sigmas_warrant():
     rows = parameter_rows(CALIBRATION["parameters"])
     assert rows.to_numpy().tolist() == [
         ["laser x", "-7.038", "mm", "0.091", "0.045", "estimated"],
@@ -136,7 +136,7 @@ def test_parameters_have_as_many_places_as_their_sigmas_warrant() -> None:
     ]
 
 
-def test_points_are_counted_under_each_of_their_flags() -> None:
+def test_points_are_counted_under_each_of_their_flags():
     flags = [0, LineFlag.SATURATED, LineFlag.SATURATED | LineFlag.ALBEDO_EDGE]
     table = flag_counts({"stepped": pd.DataFrame({"flags": pd.Series(flags, dtype="uint8")})})
     assert table.to_dict("records") == [

@@ -35,7 +35,7 @@ PROFILE = "points,lines,rule,n,std_mm,std_kept_mm\nmiddle line,1,3 sigma,621,0.0
 
 
 @pytest.fixture
-def files(tmp_path: Path) -> list[Path]:
+def files(tmp_path):
     """What the rules write for a scan with a reference and for one without."""
     written = {
         "old_wreck/counts.json": json.dumps(COUNTS),
@@ -59,7 +59,7 @@ def picture(path: Path) -> Path:
     return path
 
 
-def test_each_scan_has_its_numbers_and_pictures(files, tmp_path) -> None:
+def test_each_scan_has_its_numbers_and_pictures(files, tmp_path):
     pictures = [
         picture(tmp_path / "figures/scan_old_wreck.png"),
         picture(tmp_path / "old_wreck/orthophoto.png"),
@@ -93,7 +93,7 @@ def test_each_scan_has_its_numbers_and_pictures(files, tmp_path) -> None:
     assert after.count("<img") == 1
 
 
-def test_everything_left_out_is_counted(files) -> None:
+def test_everything_left_out_is_counted(files):
     first, second = read_scans(["old_wreck", "wreck"], files, [], {})
     found = dict(left_out(first).itertuples(index=False))
     assert found == {
@@ -112,7 +112,7 @@ def test_everything_left_out_is_counted(files) -> None:
     assert scan_words(second).startswith("39 images")
 
 
-def test_files_of_no_scan_are_refused(files, tmp_path) -> None:
+def test_files_of_no_scan_are_refused(files, tmp_path):
     with pytest.raises(InputError, match="'old_wreck' belongs to no scan"):
         read_scans(["wreck"], files, [], {})
     with pytest.raises(InputError, match=r"scan_ship\.png"):
@@ -132,5 +132,5 @@ def test_files_of_no_scan_are_refused(files, tmp_path) -> None:
         ("setup_of_scan_wreck", "wreck", ""),
     ],
 )
-def test_pictures_belong_to_scans_by_their_whole_name(name, scan, kind) -> None:
+def test_pictures_belong_to_scans_by_their_whole_name(name, scan, kind):
     assert kind_of(Path(f"figures/{name}.png"), scan) == kind

@@ -4,7 +4,6 @@ import base64
 import re
 from html.parser import HTMLParser
 from io import BytesIO
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -134,7 +133,7 @@ def test_bad_parts_are_refused(tmp_path, table):
         Page("x").table(table, "c", {"speed": "m/s"})
 
 
-def test_cards_link_their_evidence_and_carry_the_tone_of_their_verdict() -> None:
+def test_cards_link_their_evidence_and_carry_the_tone_of_their_verdict():
     found = [Finding("RMSE", "4.0 cm", "consistent", "accuracy/index.html"), Finding("n", "7")]
     html = Page("x", "", found).html()
     check(html)
@@ -144,7 +143,7 @@ def test_cards_link_their_evidence_and_carry_the_tone_of_their_verdict() -> None
     assert '<tr class=""><td>n</td><td>7</td><td></td></tr>' in html
 
 
-def test_a_fold_holds_what_was_added_within() -> None:
+def test_a_fold_holds_what_was_added_within():
     page = Page("x")
     with page.fold("All <numbers>"):
         page.text("within")
@@ -154,7 +153,7 @@ def test_a_fold_holds_what_was_added_within() -> None:
     assert "after" not in inside
 
 
-def test_thumbnails_are_small_copies_that_open_the_large_picture(tmp_path: Path) -> None:
+def test_thumbnails_are_small_copies_that_open_the_large_picture(tmp_path):
     Image.effect_noise((1400, 700), 60).save(tmp_path / "large.png")
     found = check(Page("x").thumbnails({"figures/large.png": (tmp_path / "large.png", "Map")}).html())
     assert found.links == ["figures/large.png"]
@@ -164,7 +163,7 @@ def test_thumbnails_are_small_copies_that_open_the_large_picture(tmp_path: Path)
     assert len(code) < 60_000  # noise is the worst of pictures
 
 
-def test_pages_among_results_lead_back_to_the_front_page(tmp_path: Path) -> None:
+def test_pages_among_results_lead_back_to_the_front_page(tmp_path):
     for name, back in (("a/index.html", None), ("a/b/page.html", "../"), ("a/b/c/page.html", "../../")):
         Page("x").write(tmp_path / "results" / name)
         links = check((tmp_path / "results" / name).read_text()).links
@@ -178,7 +177,7 @@ def test_empty_table_and_section_without_letters():
     assert check(page.html()).ids == ["section", "section-2"]
 
 
-def test_a_page_explains_the_short_names_that_it_uses(repository: Path) -> None:
+def test_a_page_explains_the_short_names_that_it_uses(repository):
     text = (
         Page("Errors", "As P2 eq. 9 has it")
         .text("The heading counts most (T 3.1.2); T and P5 are names.")

@@ -188,7 +188,7 @@ def page_functions() -> Iterator[str]:
                 yield f"{module}:{function.name}"
 
 
-def test_every_function_that_makes_a_page_is_tried() -> None:
+def test_every_function_that_makes_a_page_is_tried():
     tried = [*OWN, *(name for of in PAGES.values() for name in of)]
     assert sorted(tried) == sorted(page_functions()), "add an example of it"
 
@@ -224,9 +224,7 @@ def tried(name: str, example: Mapping[str, Any]) -> Iterator[tuple[str, Callable
 
 
 @pytest.mark.parametrize("name", OWN)
-def test_a_page_says_what_there_is_none_of(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_page_says_what_there_is_none_of(name, tmp_path, monkeypatch):
     """No table without a row and no word of no number; pictures are drawn and not written."""
     monkeypatch.setattr("thalweg.figures.page.save", lambda *_, **__: None)
     build, found = function_of(name), []

@@ -16,7 +16,7 @@ def words(figure) -> str:
     return " ".join(texts).replace("\n", " ")
 
 
-def test_residuals_are_split_along_and_across_the_radius() -> None:
+def test_residuals_are_split_along_and_across_the_radius():
     rng = np.random.default_rng(1)
     n = 400
     azimuth, radial = rng.uniform(-180, 180, n), 0.02 + 0.001 * rng.standard_normal(n)
@@ -38,12 +38,7 @@ def test_residuals_are_split_along_and_across_the_radius() -> None:
     assert titles[1] == "front lens, tangential, rms 0.000 px"
 
 
-def row(**changes: object) -> pd.Series:
-    given = {"width_px": 64, "mode": "depth", "heading_deg": 90.0}
-    return pd.Series(given | {"sigma_east_m": 0.03, "sigma_north_m": 0.04} | changes)
-
-
-def test_marks_of_the_field_lie_where_their_angles_say() -> None:
+def test_marks_of_the_field_lie_where_their_angles_say():
     lens = np.array([40.0, 40.0, 70.0, 60.0, 0, 0, 0, 0])
     cameras = {
         name: Camera(model="fisheye", size_px=(140, 120), parameters=lens, name=name)
@@ -75,7 +70,7 @@ def test_marks_of_the_field_lie_where_their_angles_say() -> None:
     assert back.lines[0].get_xydata() == pytest.approx(np.array([[70 - 40 * np.pi / 3, 60.0]]))
 
 
-def test_the_check_of_clock_and_mount_shows_its_optimum() -> None:
+def test_the_check_of_clock_and_mount_shows_its_optimum():
     check = pd.DataFrame(
         {
             "quantity": ["clock_s", "turn_x_deg", "turn_y_deg", "turn_z_deg"],

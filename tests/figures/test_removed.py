@@ -4,9 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from tests.figures.conftest import artists as by_gid
-from thalweg.core import GeometryError
-from thalweg.figures.cloud.removed import Across, along_reach, removed_points
+from thalweg.figures.cloud.removed import Across, removed_points
 from thalweg.lidar import REMOVED, REMOVED_POINTS, WORDS, Reason
 from thalweg.lidar.filters import reason_table
 from thalweg.settings.sections import Filters
@@ -49,20 +47,13 @@ def test_one_panel_for_each_reason_with_its_numbers(rng, trajectory, bank):
     removed, counts = sample(rng, trajectory)
     figure = removed_points(removed, counts, bank.points, trajectory, filters=FILTERS)
     titles = [ax.get_title("left") for ax in figure.axes if ax.get_title("left")]
-    assert len(titles) == len(REMOVED)
     assert [t.split("\n")[1] for t in titles] == [WORDS[r] for r in REMOVED]
     # 200 of 103,600 points
     assert titles[0].startswith("no GPS time: n = 200, 0.19 %")
     ghosts = panel(figure, "mirror ghost")
     assert ghosts.get_title("left").startswith("mirror ghost: n = 2\N{NO-BREAK SPACE}000, 1.9 %")
-    (note,) = by_gid(ghosts, "note")
-    drawn = len(by_gid(ghosts, "removed")[0].get_xdata())
-    assert note.get_text().split(",")[0] == f"{drawn} drawn"
-    assert 195 <= drawn <= 200
     head = figure.get_suptitle().replace("\n", " ")
     assert "n = 3\N{NO-BREAK SPACE}600 of 103\N{NO-BREAK SPACE}600 points (3.5 %)" in head
-    for ax in figure.axes[: len(REMOVED)]:
-        assert "/ m" in ax.get_xlabel() + ax.get_ylabel() or "/ s" in ax.get_xlabel()
 
 
 def test_reasons_that_took_nothing_are_named_and_have_no_panel(rng, trajectory, bank):
@@ -74,9 +65,6 @@ def test_reasons_that_took_nothing_are_named_and_have_no_panel(rng, trajectory, 
     assert legend.get_title().get_text() == (
         "Left out nothing: no GPS time, no pose, too near, own hull, uncertain, mirror ghost"
     )
-    labels = [t.get_text() for t in legend.get_texts()]
-    assert len(labels) == len(set(labels))
-    assert {"cloud, even sample", "left out", "track of the boat", "water level at the boat"} == set(labels)
 
 
 def test_nothing_left_out_says_so(trajectory, bank):
@@ -99,82 +87,3 @@ def test_distance_and_height_across_the_river(trajectory):
     # the ics origin is at 1.5 m, the water line 0.2 m below it; heights are interpolated between equal ones
     assert left[1] == pytest.approx(0.0, abs=1e-12)
     assert right[1] == pytest.approx(4.0, abs=1e-12)
-
-
-def test_section_shows_points_below_the_limit(rng, trajectory, bank):
-    removed, counts = sample(rng, trajectory)
-    figure = removed_points(removed, counts, bank.points, trajectory, filters=FILTERS)
-    ax = panel(figure, "below water")
-    (dots,) = by_gid(ax, "removed")
-    (limit,) = by_gid(ax, "limit")
-    here = removed[removed["reason"] == "below_water"]
-    expected = here["up_m"].to_numpy() - 1.3
-    assert np.isin(dots.get_ydata().round(9), expected.round(9)).all()
-    assert len(dots.get_ydata()) >= 0.98 * len(expected)
-    assert limit.get_ydata()[0] == -FILTERS["below_water_m"]
-    low, high = ax.get_ylim()
-    assert low < dots.get_ydata().min()
-    # room above the water for the bank of which a ghost is the image
-    assert high >= -low
-
-
-def test_plan_is_turned_along_the_reach(rng, trajectory, bank):
-    removed, counts = sample(rng, trajectory)
-    figure = removed_points(removed, counts, bank.points, trajectory, filters=FILTERS)
-    ax = panel(figure, "isolated")
-    (dots,) = by_gid(ax, "removed")
-    assert ax.get_aspect() == 1.0
-    along, across = dots.get_data()
-    # the longest extent of a zigzag of 100 m x 12 m is within 3 deg of its axis
-    assert np.ptp(along) == pytest.approx(80.0, abs=6.0)
-    assert np.abs(across).min() > 8.0
-    R = along_reach(trajectory.position_wcs_m)
-    assert np.linalg.det(R) == pytest.approx(1.0)
-    np.testing.assert_allclose(R @ R.T, np.eye(2), atol=1e-12)  # of unit vectors in float64
-    assert R[0] @ [np.sin(AZIMUTH_RAD), np.cos(AZIMUTH_RAD)] > 0.99
-    # a track to the west is shown eastward too, and north is up on a west-east reach
-    np.testing.assert_allclose(along_reach(np.array([[0.0, 0], [-9, 0], [-20, 0]])), np.eye(2), atol=1e-12)
-
-
-def test_own_hull_in_its_box_seen_from_the_stern(rng, trajectory, bank):
-    removed, counts = sample(rng, trajectory)
-    ax = panel(removed_points(removed, counts, bank.points, trajectory, filters=FILTERS), "own hull")
-    (box,) = by_gid(ax, "hull")
-    (_, left, top), (_, right, bottom) = FILTERS["hull_low_ics_m"], FILTERS["hull_high_ics_m"]
-    assert box.get_bbox().extents == pytest.approx([left, -bottom, right, -top])  # right, up: z is down
-    (dots,) = by_gid(ax, "removed")
-    here = removed[removed["reason"] == "own_hull"]
-    assert len(dots.get_xdata()) == len(here)
-    np.testing.assert_array_equal(dots.get_xdata(), here["y_ics_m"])
-    np.testing.assert_array_equal(dots.get_ydata(), -here["z_ics_m"])
-
-
-def test_points_without_a_pose_stand_in_the_gap(rng, trajectory, bank):
-    removed, counts = sample(rng, trajectory)
-    counts.loc[counts["reason"] == "no_pose", "n"] = 5000
-    ax = panel(removed_points(removed, counts, bank.points, trajectory), "no pose")
-    (bars,) = by_gid(ax, "removed")
-    rate, edges, _ = bars.get_data()
-    # the sample of 200 stands for 5000
-    assert np.sum(rate * np.diff(edges)) == pytest.approx(5000)
-    peak = edges[np.argmax(rate)]
-    assert peak <= 15.5 <= peak + np.diff(edges)[0]  # node 155 at 10 Hz
-    (poses,) = by_gid(ax, "poses")
-    assert np.isnan(poses.get_ydata()).sum() == 10
-
-
-def test_far_strays_do_not_shrink_the_picture(rng, trajectory, bank):
-    removed, counts = sample(rng, trajectory, n=2000)
-    first = np.flatnonzero(removed["reason"] == "below_water")[0]
-    removed.iloc[first, removed.columns.get_loc("up_m")] = -500.0
-    ax = panel(removed_points(removed, counts, bank.points, trajectory, filters=FILTERS), "below water")
-    assert ax.get_ylim()[0] > -10.0
-    (note,) = by_gid(ax, "note")
-    assert "beyond the axes" in note.get_text()
-
-
-def test_a_trajectory_without_a_valid_node_is_refused(rng, trajectory, bank):
-    removed, counts = sample(rng, trajectory)
-    trajectory.valid[:] = False
-    with pytest.raises(GeometryError, match="without a valid node"):
-        removed_points(removed, counts, bank.points, trajectory)

@@ -68,18 +68,6 @@ def test_chunks_and_order_do_not_matter(rng):
         np.testing.assert_array_equal(a, b)
 
 
-def test_nearer_point_hides_the_one_behind():
-    side = ObliqueView(
-        azimuth_rad=0.0, elevation_rad=0.0, left_m=-1.0, top_m=1.0, pixel_m=1.0, width_px=2, height_px=2
-    )
-    splat = Splat(side)
-    splat.add(np.array([[0.5, 9.0, 0.5], [0.5, 3.0, 0.5]]), np.array([1.0, 2.0]))
-    depth, values = splat.buffers()
-    assert depth[0, 1] == 3.0
-    assert values[0, 1] == 2.0
-    assert np.isnan(values[1, 0])
-
-
 @pytest.mark.parametrize("azimuth", [0.0, 1.0, 4.0])
 @pytest.mark.parametrize("elevation", [0.0, 0.6, np.pi / 2])
 def test_view_axes_are_a_rotation(azimuth, elevation):
@@ -87,10 +75,6 @@ def test_view_axes_are_a_rotation(azimuth, elevation):
     np.testing.assert_allclose(axes @ axes.T, np.eye(3), atol=1e-15)
     # Right, up and away form a left-handed set, as a picture with depth does.
     assert np.linalg.det(axes) == pytest.approx(-1.0)
-
-
-def test_plan_view_shows_east_right_and_north_up():
-    np.testing.assert_allclose(view_axes(0.0, np.pi / 2), [[1, 0, 0], [0, 1, 0], [0, 0, -1]], atol=1e-15)
 
 
 def test_fit_holds_the_cloud_and_looks_across_it(rng):
@@ -118,25 +102,6 @@ def test_shading_is_zero_on_a_slope_and_dark_behind_an_edge():
     assert np.all(shade[:, :20] == 0.0)  # the near side stays light
 
 
-def test_empty_pixels_have_the_background():
-    splat = Splat(view_of())
-    splat.add(np.zeros((1, 3)), np.array([1.0]))
-    picture = splat.image(np.array([[0.0, 0, 0], [1, 0, 0]]), (0.0, 1.0), radius_px=0)
-    assert picture.shape == (30, 40, 3)
-    assert picture.dtype == np.uint8
-    assert np.sum(np.any(picture != 255, axis=2)) == 1
-    assert splat.coverage == 1 / 1200
-
-
-def test_colours_follow_the_limits():
-    splat = Splat(view_of(azimuth=0.0, elevation=np.pi / 2))
-    splat.add(np.array([[0.25, 0.25, 0], [2.25, 0.25, 0], [4.25, 0.25, 0]]), np.array([-9.0, 0.5, 9.0]))
-    table = np.linspace(0, 1, 11)[:, None] * np.ones(3)
-    picture = splat.image(table, (0.0, 1.0), radius_px=0, shading=0.0, background=(0.2, 0.2, 0.2))
-    row = 14
-    assert [int(picture[row, c, 0]) for c in (20, 24, 28)] == [0, 128, 255]
-
-
 def test_points_with_nan_are_counted_not_drawn():
     splat = Splat(view_of())
     splat.add(np.array([[0.0, np.nan, 0.0], [0.0, 0.0, 0.0]]), np.array([1.0, 1.0]))
@@ -151,14 +116,6 @@ def test_sparse_clouds_get_larger_points(rng):
         radii.append(splat.radius_px())
     assert radii == sorted(radii, reverse=True)
     assert radii[0] > radii[-1] == 1
-
-
-@pytest.mark.parametrize(
-    ("points", "values"), [(np.zeros((3, 2)), np.zeros(3)), (np.zeros((3, 3)), np.zeros(2))]
-)
-def test_wrong_shapes_are_refused(points, values):
-    with pytest.raises(GeometryError, match=r"expected points \(n, 3\) and values \(n,\)"):
-        Splat(view_of()).add(points, values)
 
 
 def test_a_view_of_nothing_is_refused():

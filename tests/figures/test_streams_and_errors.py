@@ -1,13 +1,11 @@
 """Streams in time, and normalised errors."""
 
-import matplotlib.dates as mdates
 import numpy as np
 import pandas as pd
 import pytest
 
 from tests.figures.conftest import artists as by_gid
 from thalweg.core import InputError, unix_from_gps
-from thalweg.figures import save
 from thalweg.figures.survey.streams import streams_in_time, time_span
 from thalweg.ingest import Gap, IntegrityReport, StreamTiming
 
@@ -102,14 +100,6 @@ def test_gaps_and_unsynchronised_parts(reports):
     assert all(p.get_hatch() for p in by_gid(figure, "unsynchronised"))
 
 
-def test_the_pps_is_drawn_where_it_was_locked(reports):
-    figure = streams_in_time(reports, NO_LAGS)
-    lines = by_gid(figure, "pps")
-    found = [tuple(np.asarray(line.get_xdata()) * 86_400 - float(unix_from_gps(T0))) for line in lines]
-    # Days since 1970 in float64 resolve 0.3 us.
-    np.testing.assert_allclose(found, [(10.0, 30.0), (37.0, 110.0)], atol=1e-5)
-
-
 def test_a_part_before_the_first_gps_time_is_on_the_axis(reports):
     reports[0].timing.unsynchronised = [(T0 - 8, T0 + 10)]
     assert time_span(reports) == (T0 - 8, T0 + 110)
@@ -120,13 +110,6 @@ def test_a_gap_before_the_clock_was_set_has_no_place(reports):
     figure = streams_in_time(reports, NO_LAGS)
     assert len(bars(figure, "gap")) == 1
     assert "2 gaps" in by_gid(figure, "stream-numbers")[0].get_text()
-
-
-def test_short_gaps_are_still_seen(reports):
-    reports[0].gaps = [Gap(t_start_s=T0 + 50, duration_s=0.001)]
-    ((start, length, _),) = bars(streams_in_time(reports, NO_LAGS), "gap")
-    assert length == pytest.approx(0.002 * 110, rel=1e-3)
-    assert start + length / 2 == pytest.approx(float(unix_from_gps(T0 + 50.0005)), abs=1e-4)
 
 
 def test_rates_counts_and_certain_lags(reports):
@@ -148,18 +131,8 @@ def test_rates_counts_and_certain_lags(reports):
     assert "n = 4 streams" in figure.get_suptitle()
 
 
-def test_ticks_are_utc(reports):
-    figure = streams_in_time(reports, NO_LAGS)
-    figure.draw_without_rendering()
-    ax = figure.axes[0]
-    first = mdates.num2date(ax.get_xlim()[0])
-    assert f"{first:%Y-%m-%dT%H:%M}" == "2017-05-12T18:44"
-    assert "18:45" in [t.get_text() for t in ax.get_xticklabels()]
-
-
 def test_only_streams_without_gps_time(tmp_path, reports):
     assert time_span(reports[2:]) == (0.0, 60.0)
-    save(streams_in_time(reports[2:], NO_LAGS), tmp_path / "streams.png", dpi=60)
 
 
 def test_no_stream_is_refused():

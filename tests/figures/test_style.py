@@ -9,7 +9,6 @@ from matplotlib.figure import Figure
 from thalweg.core import CoverageError, InputError
 from thalweg.figures import style
 from thalweg.figures.survey.maps import survey_map
-from thalweg_lab.figures.cone_frame import cone_frame
 
 
 def texts(figure):
@@ -54,14 +53,6 @@ def test_unknown_format_is_refused(tmp_path, trajectory):
     assert not list(tmp_path.iterdir())
 
 
-def test_png_has_the_width_of_the_page(tmp_path, trajectory):
-    from matplotlib.image import imread
-
-    style.save(survey_map(trajectory), tmp_path / "map.png", dpi=254)
-    # 170 mm at 10 dots a millimetre; one dot for rounding.
-    assert imread(tmp_path / "map.png").shape[1] == pytest.approx(1700, abs=1)
-
-
 @pytest.mark.parametrize("twin", [True, False])
 def test_the_mark_of_the_twin(trajectory, twin):
     figure = survey_map(trajectory, twin=twin)
@@ -86,11 +77,6 @@ def test_robust_limits():
     assert style.robust_limits([np.nan, 5.0, 5.0]) == (2.5, 7.5)
     assert style.robust_limits([0.02, 0.02]) == (0.01, 0.03)  # a sigma stays positive
     assert style.robust_limits([0.0]) == (-0.5, 0.5)
-
-
-@pytest.mark.parametrize(("metres", "text"), [(0.2, "0.2 m"), (50.0, "50 m"), (2000.0, "2 km")])
-def test_length_text(metres, text):
-    assert style.length_text(metres) == text
 
 
 def test_legend_below_fits_the_page():
@@ -210,9 +196,3 @@ def test_dollar_signs_in_names_are_no_formula(tmp_path):
         assert not [t for t in found if t.get_parse_math()]
         powers = figure.axes[1].get_xticklabels()
         assert all(each.get_parse_math() and "mathdefault" in each.get_text() for each in powers)
-
-
-def test_a_sketch_shows_its_formulas():
-    found = [t for t in cone_frame().findobj(mpl.text.Text) if "$" in t.get_text()]
-    assert len(found) == 8
-    assert all(each.get_parse_math() for each in found)

@@ -127,7 +127,7 @@ def words(document, title):
     return json.dumps(section(document, title), ensure_ascii=False)
 
 
-def test_a_survey_has_the_sections_of_a_report_in_their_order(written) -> None:
+def test_a_survey_has_the_sections_of_a_report_in_their_order(written):
     report, document = written(of_soundings(), twin=True)
     assert report.read_bytes().startswith(b"%PDF-1.7")
     titles = [each["title"] for each in document["sections"]]
@@ -153,7 +153,7 @@ def test_a_survey_has_the_sections_of_a_report_in_their_order(written) -> None:
     assert files[0]["sha256"] == "c5052532c2206140dfdc3b0d756cce0831ac00fd978f2bfd150858e7ee217a8c"
 
 
-def test_the_order_needs_more_than_small_sigmas(written) -> None:
+def test_the_order_needs_more_than_small_sigmas(written):
     """Lines of soundings search no bed; too small sigmas, or a sensor that disagrees, forbid any order."""
     ways = {
         "Order 1b, by predicted uncertainties": of_soundings(),
@@ -175,7 +175,7 @@ def test_the_order_needs_more_than_small_sigmas(written) -> None:
     assert "2.00 m" in table["caption"]
 
 
-def test_a_survey_without_echo_sounder_or_lidar_says_so(written) -> None:
+def test_a_survey_without_echo_sounder_or_lidar_says_so(written):
     _, document = written({})
     assert "No lidar recorded." in words(document, "Processing")
     assert "no soundings to classify" in words(document, "Order of the soundings (IHO S-44)")
@@ -184,7 +184,7 @@ def test_a_survey_without_echo_sounder_or_lidar_says_so(written) -> None:
     assert document["mark"] == ""
 
 
-def test_a_change_reports_its_volumes(written) -> None:
+def test_a_change_reports_its_volumes(written):
     volumes = {
         "what": ["erosion"],
         "volume_m3": [-12.6],
@@ -206,7 +206,7 @@ def test_a_change_reports_its_volumes(written) -> None:
     assert patch == ["erosion", "29.7", "−5.00", "−16.8 cm"]
 
 
-def test_a_title_is_no_markup_and_the_same_results_give_the_same_bytes(written, monkeypatch) -> None:
+def test_a_title_is_no_markup_and_the_same_results_give_the_same_bytes(written, monkeypatch):
     one, document = written(of_soundings())
     two, _ = written(of_soundings(), name="again.pdf")
     assert one.read_bytes() == two.read_bytes()

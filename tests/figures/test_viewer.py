@@ -5,7 +5,6 @@ import importlib
 import json
 import re
 import zlib
-from collections.abc import Iterator
 from io import BytesIO
 from pathlib import Path
 
@@ -33,7 +32,7 @@ START_S = 178_649_913.4  # 2017-05-12T18:44:55.4 UTC, the example of core.timesc
 
 
 @pytest.fixture(scope="module")
-def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+def browser(tmp_path_factory):
     with Browser(tmp_path_factory.mktemp("profile")) as opened:
         yield opened
 
@@ -80,7 +79,7 @@ def decoded(folder: Path, key: str) -> tuple[np.ndarray, dict]:
     return corner + (planes[:, 0] + 256 * planes[:, 1] + 0.5).T / 65536 * size, facts
 
 
-def test_each_point_stands_in_one_node_and_each_node_is_even(rng: np.random.Generator) -> None:
+def test_each_point_stands_in_one_node_and_each_node_is_even(rng):
     xyz = np.vstack([hills(), rng.normal(0, 0.3, (50_000, 3))])
     nodes = build_octree(xyz, len(xyz))
     rows = np.concatenate([node.rows for node in nodes])
@@ -103,7 +102,7 @@ def test_each_point_stands_in_one_node_and_each_node_is_even(rng: np.random.Gene
     assert cKDTree(root).query(rng.uniform(-79, 79, (2000, 2)))[0].max() < 160 / 64 * 2
 
 
-def test_a_large_cloud_is_thinned_evenly_to_what_is_asked(rng: np.random.Generator) -> None:
+def test_a_large_cloud_is_thinned_evenly_to_what_is_asked(rng):
     """Ten times as dense in one quarter: thinned, hardly denser than elsewhere."""
     sparse, dense = rng.uniform(-50, 50, (100_000, 3)), rng.uniform(0, 50, (250_000, 3))
     xyz = np.vstack([sparse, dense]) * [1, 1, 0.001]
@@ -119,7 +118,7 @@ def test_a_large_cloud_is_thinned_evenly_to_what_is_asked(rng: np.random.Generat
     assert sorted(np.concatenate([node.rows for node in whole])) == list(range(40_000))
 
 
-def test_a_single_point_and_points_at_one_place_are_clouds_too(tmp_path: Path) -> None:
+def test_a_single_point_and_points_at_one_place_are_clouds_too(tmp_path):
     for n in (1, 20_000):
         xyz = np.tile([[412_000.25, 5_651_000.5, 150.0]], (n, 1))
         assert write_viewer(View(xyz_m=xyz, frame=None, n_total=n), tmp_path, title="x") == 1
@@ -128,7 +127,7 @@ def test_a_single_point_and_points_at_one_place_are_clouds_too(tmp_path: Path) -
         assert facts["columns"] == []
 
 
-def test_the_files_hold_the_points(tmp_path: Path) -> None:
+def test_the_files_hold_the_points(tmp_path):
     xyz = hills()
     assert write_viewer(whole_view(xyz), tmp_path, title="a < b", trajectory=make_trajectory()) == len(xyz)
     page = (tmp_path / "index.html").read_text()
@@ -149,7 +148,7 @@ def test_the_files_hold_the_points(tmp_path: Path) -> None:
     assert "digital twin" in (tmp_path / "index.html").read_text()
 
 
-def test_what_cannot_be_shown_is_refused(tmp_path: Path) -> None:
+def test_what_cannot_be_shown_is_refused(tmp_path):
     degrees = View(xyz_m=np.ones((2, 3)), frame=CRS.from_epsg(4326), n_total=2)
     with pytest.raises(InputError, match="a cloud in degrees"):
         write_viewer(degrees, tmp_path, title="x")
@@ -157,7 +156,7 @@ def test_what_cannot_be_shown_is_refused(tmp_path: Path) -> None:
         write_viewer(View(xyz_m=np.full((2, 3), np.nan), frame=None, n_total=2), tmp_path, title="x")
 
 
-def test_the_command_shows_clouds_of_anybody(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_shows_clouds_of_anybody(tmp_path, capsys):
     xyz = hills()[::7]
     with LazWriter(tmp_path / "a.laz", FRAME) as writer:
         # 8-bit colours where 16 bits belong, as some programs write them
@@ -181,7 +180,7 @@ def test_the_command_shows_clouds_of_anybody(tmp_path: Path, capsys: pytest.Capt
     assert main(["view", str(tmp_path / "b.xyz"), "-o", str(tmp_path / "w"), "--points", "0"]) == 2
 
 
-def test_clouds_of_several_chains_are_told_apart(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_clouds_of_several_chains_are_told_apart(tmp_path, capsys):
     """Times that one of them lacks are shown of none; a cloud in another frame is refused."""
     xyz, intensity = hills()[::40], np.arange(len(hills()[::40]), dtype=np.uint16)
     for name, off, more in (("ins", 0.0, {"t_gps_s": START_S + intensity}), ("camera", 0.5, {})):
@@ -203,9 +202,7 @@ def test_clouds_of_several_chains_are_told_apart(tmp_path: Path, capsys: pytest.
     assert main(["view", *both, "--quantity", "cloud", "-o", str(tmp_path / "w")]) == 2
 
 
-def test_the_page_of_a_survey_shows_clouds_of_other_chains_when_asked(
-    browser: Browser, tmp_path: Path
-) -> None:
+def test_the_page_of_a_survey_shows_clouds_of_other_chains_when_asked(browser, tmp_path):
     """The first cloud, in its colours, takes half of the points; a click tells which cloud a point is of."""
     xyz = hills().reshape(641, 641, 3)[::4, ::4].reshape(-1, 3)
     flat = np.column_stack([xyz[:, :2], np.zeros(len(xyz))])
@@ -264,9 +261,7 @@ def test_the_page_of_a_survey_shows_clouds_of_other_chains_when_asked(
         assert page.errors == []
 
 
-def test_extra_dimensions_become_colours(
-    browser: Browser, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_extra_dimensions_become_colours(browser, tmp_path, capsys):
     """Distances of two epochs: limits alike on both sides of zero, NaN where nothing was measured."""
     xyz = hills()[::40]
     n = len(xyz)
@@ -306,7 +301,7 @@ def test_extra_dimensions_become_colours(
         assert page.errors == []
 
 
-def test_a_browser_opens_it_from_disk(browser: Browser, tmp_path: Path) -> None:
+def test_a_browser_opens_it_from_disk(browser, tmp_path):
     xyz = hills()
     write_viewer(whole_view(xyz), tmp_path / "v", title="Hills", twin=True, trajectory=make_trajectory())
     with browser.empty_page() as page:
@@ -371,7 +366,7 @@ def test_a_browser_opens_it_from_disk(browser: Browser, tmp_path: Path) -> None:
         assert len(page.requests) > 5
 
 
-def test_no_text_of_the_data_becomes_a_program(browser: Browser, tmp_path: Path) -> None:
+def test_no_text_of_the_data_becomes_a_program(browser, tmp_path):
     """Titles that look like parts of the page, names of files that begin a comment or end a script."""
     hostile = "{{data}} <script>document.title='run'</script><!--<script>"
     view = View(
@@ -392,7 +387,7 @@ def test_no_text_of_the_data_becomes_a_program(browser: Browser, tmp_path: Path)
         assert page.errors == []
 
 
-def test_a_missing_file_of_the_folder_is_told(browser: Browser, tmp_path: Path) -> None:
+def test_a_missing_file_of_the_folder_is_told(browser, tmp_path):
     write_viewer(View(xyz_m=hills()[::20], frame=FRAME, n_total=20_544), tmp_path / "v", title="x")
     (tmp_path / "v/nodes/r.js").unlink()
     with browser.empty_page() as page:
@@ -405,7 +400,7 @@ SIDES = {"north": (220, 40, 40), "east": (40, 200, 40), "south": (40, 40, 220), 
 
 
 @pytest.fixture(scope="module")
-def walk(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def walk(tmp_path_factory):
     """Three panoramas along the hills, their middles to the east, each side of the world in its colour."""
     tmp_path, start = tmp_path_factory.mktemp("walk"), make_trajectory()
     azimuth = (np.arange(1024) + 0.5) / 1024 * 360 - 180 + 90
@@ -459,7 +454,7 @@ def walk(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path
 
 
-def test_a_walk_from_panorama_to_panorama(walk: Path, browser: Browser, tmp_path: Path) -> None:
+def test_a_walk_from_panorama_to_panorama(walk, browser, tmp_path):
     with browser.empty_page() as page:
 
         def shown(at: tuple[int, int]) -> str:
@@ -527,9 +522,7 @@ def test_a_walk_from_panorama_to_panorama(walk: Path, browser: Browser, tmp_path
         assert all(url.startswith(("file://", "blob:")) for url in page.requests)
 
 
-def test_a_walk_needs_no_lidar_and_wide_panoramas_are_reduced(
-    walk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_walk_needs_no_lidar_and_wide_panoramas_are_reduced(walk, tmp_path, monkeypatch):
     monkeypatch.setattr(importlib.import_module("thalweg.figures.viewer.page"), "_WALK_PX", 512)
     folder = tmp_path / "alone"
     write_survey_viewer(
@@ -546,7 +539,7 @@ def test_a_walk_needs_no_lidar_and_wide_panoramas_are_reduced(
     assert Image.open(BytesIO(base64.b64decode(letters))).size == (512, 256)
 
 
-def test_a_point_leads_to_its_photograph_and_panorama(walk: Path, browser: Browser, tmp_path: Path) -> None:
+def test_a_point_leads_to_its_photograph_and_panorama(walk, browser, tmp_path):
     with browser.empty_page() as page:
         page.open(walk / "viewer/index.html", "#at=0,5,4&look=0,60,30&colour=rgb")
         page.wait("typeof settled !== 'undefined' && settled")
@@ -580,9 +573,7 @@ def test_a_point_leads_to_its_photograph_and_panorama(walk: Path, browser: Brows
         (None, {}, "height"),
     ],
 )
-def test_it_begins_with_the_colour_that_most_points_have(
-    tmp_path: Path, share: float | None, extras: dict[str, float], colour: str
-) -> None:
+def test_it_begins_with_the_colour_that_most_points_have(tmp_path, share, extras, colour):
     xyz = hills()[::40]
     place = np.arange(len(xyz)) / len(xyz)
     # ten times as many points in one place, all of them known, tell no more of the cloud
@@ -600,7 +591,7 @@ def test_it_begins_with_the_colour_that_most_points_have(
     assert decoded(tmp_path, "")[1]["colour"] == colour
 
 
-def test_a_click_gives_the_map_grid_and_further_ones_an_area(browser: Browser, tmp_path: Path) -> None:
+def test_a_click_gives_the_map_grid_and_further_ones_an_area(browser, tmp_path):
     xyz = hills()[::4]
     folder = tmp_path / "results/a/viewer"
     view = View(xyz_m=xyz, frame=FRAME, n_total=len(xyz), sigma_m=np.full((len(xyz), 3), 0.03))
@@ -652,7 +643,7 @@ def test_a_click_gives_the_map_grid_and_further_ones_an_area(browser: Browser, t
         assert page.errors == []
 
 
-def test_the_panel_folds_on_a_telephone(browser: Browser, tmp_path: Path) -> None:
+def test_the_panel_folds_on_a_telephone(browser, tmp_path):
     xyz = hills()[::40]
     write_viewer(View(xyz_m=xyz, frame=FRAME, n_total=len(xyz)), tmp_path, title="Hills")
     with browser.empty_page() as page:
@@ -669,7 +660,7 @@ def test_the_panel_folds_on_a_telephone(browser: Browser, tmp_path: Path) -> Non
         assert page.errors == []
 
 
-def test_what_is_clipped_is_not_drawn_and_not_found(browser: Browser, tmp_path: Path) -> None:
+def test_what_is_clipped_is_not_drawn_and_not_found(browser, tmp_path):
     xyz = hills().reshape(641, 641, 3)[::2, ::2].reshape(-1, 3)
     write_viewer(View(xyz_m=xyz, frame=FRAME, n_total=len(xyz)), tmp_path / "v", title="x")
     low, high = xyz[:, 2].min(), xyz[:, 2].max()

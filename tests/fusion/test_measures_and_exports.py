@@ -103,7 +103,7 @@ def profile_of(depth_m: np.ndarray, width_m: np.ndarray, spacing_m: float = 10.0
     return pd.DataFrame({"s_m": s, "level_m": 2.0, "mean_bed_m": 2.0 - depth_m, "width_m": width_m})
 
 
-def test_the_exponent_of_depth_over_width_and_its_sigma() -> None:
+def test_the_exponent_of_depth_over_width_and_its_sigma():
     """150 rivers of 60 sections whose deviations last for some sections: both answers and their sigmas."""
     rng = np.random.default_rng(4)
     squares, ratios, said = [], [], []
@@ -123,7 +123,7 @@ def test_the_exponent_of_depth_over_width_and_its_sigma() -> None:
     assert np.mean(said, axis=0) == pytest.approx([1.0, 0.97], abs=0.05)
 
 
-def test_a_river_whose_depth_knows_nothing_of_its_width() -> None:
+def test_a_river_whose_depth_knows_nothing_of_its_width():
     """Said in at most a few of a hundred rivers that it is deeper where narrower, and never for one width."""
     rng = np.random.default_rng(6)
     said = []
@@ -282,7 +282,7 @@ def test_a_bag_is_read_by_gdal(model, tmp_path):
     assert np.nanmax(np.abs(read[1] - 0.05)) < 1e-6
 
 
-def test_contours_of_a_bed_have_an_even_interval_by_its_relief() -> None:
+def test_contours_of_a_bed_have_an_even_interval_by_its_relief():
     """A plane that rises from west to east; of its height at most so many intervals, 1, 2 or 5 times ten."""
     x = np.arange(21.0)
     centres = np.stack(np.meshgrid(x, x[::-1]), axis=-1)
@@ -302,7 +302,7 @@ def test_contours_of_a_bed_have_an_even_interval_by_its_relief() -> None:
     assert np.unique(_contours(height, centres, 0.03, GRID)["height_m"]) == pytest.approx([0.03])
 
 
-def test_a_track_is_a_line_for_each_run_of_poses() -> None:
+def test_a_track_is_a_line_for_each_run_of_poses():
     n = 9
     valid = np.array([True, True, True, False, True, False, True, True, True])
     path = Trajectory(

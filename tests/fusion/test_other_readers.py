@@ -13,7 +13,6 @@ import json
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -49,11 +48,11 @@ print(json.dumps({
 
 
 @pytest.fixture
-def river(arc, banks) -> River:
+def river(arc, banks):
     return River(flow=arc, banks=banks, frame=FRAME, crs=GRID)
 
 
-def test_every_export_is_what_was_written(model, river, sections, tmp_path: Path) -> None:  # noqa: F811
+def test_every_export_is_what_was_written(model, river, sections, tmp_path):  # noqa: F811
     folder = os.environ.get("THALWEG_READERS")
     if not folder:
         pytest.skip("set THALWEG_READERS to a folder with the readers (head of this file)")
@@ -99,7 +98,7 @@ print(json.dumps(found | {"origin": origin}))
 """
 
 
-def test_anuga_reads_every_section_of_hec_ras(model, river, sections, tmp_path: Path) -> None:  # noqa: F811
+def test_anuga_reads_every_section_of_hec_ras(model, river, sections, tmp_path):  # noqa: F811
     """ANUGA asks for all records of the header, and for as many sections as it tells."""
     folder = os.environ.get("THALWEG_READERS")
     if not folder:

@@ -56,9 +56,7 @@ def in_local_frame(line: FlowLine, path: Path) -> River:
 
 
 @pytest.mark.real
-def test_a_real_stream_becomes_sections_volume_and_mesh(
-    data_dir: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_real_stream_becomes_sections_volume_and_mesh(data_dir, tmp_path, monkeypatch):
     monkeypatch.setattr("thalweg.figures.save", lambda *_: None)  # nobody looks at the bed's picture
     folder = data_dir / "river_bottom_interpolator" / "Lujan"
     points = json.loads((folder / "elevation_points.geojson").read_text())["features"]

@@ -72,7 +72,7 @@ def cells(
     return layer_of_cloud(Source.LIDAR, cloud, np.array(corner_m), cell_m, shape)
 
 
-def test_a_cell_is_the_mean_of_its_points() -> None:
+def test_a_cell_is_the_mean_of_its_points():
     """North-west corner at 100, 200: rows go south, columns east; points outside count nowhere."""
     points = [[100.5, 199.5, 1.0], [101.5, 198.5, 3.0], [105.0, 197.0, 9.0], [99.9, 199.0, 50.0]]
     points += [[106.1, 199.0, 50.0], [101.0, 200.1, 50.0], [101.0, 195.9, 50.0]]
@@ -87,7 +87,7 @@ def test_a_cell_is_the_mean_of_its_points() -> None:
 
 
 @pytest.mark.parametrize("north", [False, True])
-def test_points_are_brought_to_the_middle_of_the_cell_along_the_slope(north: bool) -> None:
+def test_points_are_brought_to_the_middle_of_the_cell_along_the_slope(north):
     """On the plane z = x (or z = y) the second cell has the height 1.5; its sigma grows by the slope."""
     along = [(0.5, 0.5), (1.75, 1.75), (2.5, 2.5)]
     points = [[0.5, -3 + u, z] if north else [u, -0.5, z] for u, z in along]
@@ -96,7 +96,7 @@ def test_points_are_brought_to_the_middle_of_the_cell_along_the_slope(north: boo
     assert found.sigma_m.ravel()[1] == pytest.approx(0.5)  # 0.4 up, 0.3 across on a slope of 1
 
 
-def test_scatter_averages_and_what_is_shared_stays() -> None:
+def test_scatter_averages_and_what_is_shared_stays():
     """Four points in each of nine cells scatter by w^2 = 0.12: noise up to what is stated, else relief."""
     middles = [(c + 0.5, -r - 0.5) for r in range(3) for c in range(3)]
     points = [[e, n, dz] for e, n in middles for dz in (-0.3, 0.3, -0.3, 0.3)]
@@ -107,7 +107,7 @@ def test_scatter_averages_and_what_is_shared_stays() -> None:
         assert found.sigma_m[1, 1] ** 2 == pytest.approx(expected)
 
 
-def test_scatter_is_pooled_over_three_by_three_cells() -> None:
+def test_scatter_is_pooled_over_three_by_three_cells():
     squares, freedom = np.zeros((5, 5)), np.ones((5, 5), dtype=np.int64)
     squares[2, 2] = 18.0
     found, free = _pooled(squares, freedom, np.full((5, 5), 7.0))
@@ -122,7 +122,7 @@ def test_scatter_is_pooled_over_three_by_three_cells() -> None:
 # ---------------------------------------------------------------- clouds
 
 
-def test_points_of_a_moved_cloud_carry_the_error_of_the_motion() -> None:
+def test_points_of_a_moved_cloud_carry_the_error_of_the_motion():
     """Shift sigmas 3, 4, 5 cm and 1 mrad about the vertical and about east, 20 m and 10 m from the centre."""
     fit = Fit(
         motion=Motion(centre_m=np.zeros(3), R=np.eye(3), shift_m=np.array([1.0, 2.0, 3.0])),
@@ -141,7 +141,7 @@ def test_points_of_a_moved_cloud_carry_the_error_of_the_motion() -> None:
     assert found.sigma_up_m[0] ** 2 == pytest.approx(0.2**2 + up)
 
 
-def test_cells_of_the_bed_are_points_with_their_width_as_sigma(tmp_path: Path) -> None:
+def test_cells_of_the_bed_are_points_with_their_width_as_sigma(tmp_path):
     """A cell of 2 m says nothing of where in it: 2 m / sqrt(12); both parts of the height's sigma count."""
     at = FRAME.to_map(np.zeros((1, 3)), GRID)[0]
     west, north = np.floor(at[:2])
@@ -159,7 +159,7 @@ def test_cells_of_the_bed_are_points_with_their_width_as_sigma(tmp_path: Path) -
     assert found.sigma_horizontal_m == pytest.approx([0.57735])
 
 
-def test_joined_clouds_have_the_classes_of_asprs(tmp_path: Path) -> None:
+def test_joined_clouds_have_the_classes_of_asprs(tmp_path):
     """Bed and light sheet are water (9), the rest ground (2); the source is the point source."""
     one = Cloud(xyz_m=np.zeros((1, 3)), sigma_horizontal_m=np.array([0.02]), sigma_up_m=np.array([0.03]))
     empty = one.part(np.zeros(1, dtype=bool))
@@ -175,7 +175,7 @@ def test_joined_clouds_have_the_classes_of_asprs(tmp_path: Path) -> None:
     assert len(counts) == 4
 
 
-def test_sigmas_of_a_cloud_are_those_of_its_file(tmp_path: Path) -> None:
+def test_sigmas_of_a_cloud_are_those_of_its_file(tmp_path):
     """East and north make one horizontal sigma; a height's alone stands for all axes; else what is told."""
     kinds = {
         "both": {"sigma_up": 0.05, "sigma_east": 0.03, "sigma_north": 0.01},
@@ -210,7 +210,7 @@ def two_layers(bed_m: float, lidar_m: float) -> Dtm:
     return blend(layers, np.zeros(2), 1.0, GRID, blend_m=2.0)
 
 
-def test_sources_fade_into_each_other() -> None:
+def test_sources_fade_into_each_other():
     """Tapers 1, 2/3, 1/3 over three cells, 0.1 against 0.2 m: shares of the bed 36/37, 4/5, 4/13."""
     found = two_layers(1.0, 1.0)
     share = np.array([1, 1, 1, 36 / 37, 0.8, 4 / 13, 0, 0])
@@ -222,7 +222,7 @@ def test_sources_fade_into_each_other() -> None:
     assert found.source[0].tolist() == [bed] * 5 + [bank] * 3
 
 
-def test_sources_that_contradict_each_other_raise_the_sigma() -> None:
+def test_sources_that_contradict_each_other_raise_the_sigma():
     found = two_layers(0.0, 1.0)
     assert found.height_m[0, 4] == pytest.approx(0.2)
     assert found.sigma_m[0, 4] == pytest.approx(0.4)  # 0.8 x 0.2^2 + 0.2 x 0.8^2
@@ -232,7 +232,7 @@ def test_sources_that_contradict_each_other_raise_the_sigma() -> None:
 # ---------------------------------------------------------------- gaps
 
 
-def test_a_membrane_is_straight_between_borders_and_level_at_a_free_one() -> None:
+def test_a_membrane_is_straight_between_borders_and_level_at_a_free_one():
     gap = np.array([[False, True, True, True, False]])
     assert membrane(np.array([[0.0, NAN, NAN, NAN, 4.0]]), gap)[0] == pytest.approx([0, 1, 2, 3, 4])
     free = membrane(np.array([[3.0, NAN, NAN, NAN, NAN]]), gap)[0]
@@ -241,7 +241,7 @@ def test_a_membrane_is_straight_between_borders_and_level_at_a_free_one() -> Non
     assert alone == pytest.approx([3, 3, NAN, NAN, NAN], nan_ok=True)
 
 
-def test_errors_of_interpolation_by_distance() -> None:
+def test_errors_of_interpolation_by_distance():
     """0.01 x^2 along one axis of two: 0.01 d^2 / sqrt(2), at 1 to 16 cells, which 60 cells hold."""
     y, x = np.mgrid[:60, :60]
     distance, sigma = interpolation_error(0.01 * (x * 0.5) ** 2 + 0.0 * y, 0.5)
@@ -250,7 +250,7 @@ def test_errors_of_interpolation_by_distance() -> None:
     assert interpolation_error(np.zeros((2, 2)), 0.5)[0].tolist() == [0.0]
 
 
-def test_a_filled_cell_has_the_error_of_interpolation() -> None:
+def test_a_filled_cell_has_the_error_of_interpolation():
     x = np.mgrid[:40, :40][1] * 0.5
     height = 0.1 * x**2
     height[20, 20] = NAN
@@ -266,7 +266,7 @@ def test_a_filled_cell_has_the_error_of_interpolation() -> None:
     assert found.sigma_m[20, 21] == pytest.approx(0.05)
 
 
-def test_land_is_filled_on_request_and_so_far() -> None:
+def test_land_is_filled_on_request_and_so_far():
     row = dtm(np.array([[1.0, NAN, NAN, NAN]]))
     dry = np.zeros((1, 4), dtype=bool)
     assert _filled(row, dry, Fusion()) is row
@@ -278,7 +278,7 @@ def test_land_is_filled_on_request_and_so_far() -> None:
         _filled(dtm([[1.0, NAN, NAN, NAN]]), np.array([[False, False, True, True]]), Fusion())
 
 
-def test_cells_inside_a_polygon_are_those_whose_centres_are() -> None:
+def test_cells_inside_a_polygon_are_those_whose_centres_are():
     square = np.array([[11.4, 19.4], [13.6, 19.4], [13.6, 17.6], [11.4, 17.6]])
     found = cells_inside(square, np.array([10.0, 20.0]), 1.0, (3, 5))
     assert np.argwhere(found).tolist() == [[1, 1], [1, 2], [1, 3]]
@@ -287,7 +287,7 @@ def test_cells_inside_a_polygon_are_those_whose_centres_are() -> None:
 # ---------------------------------------------------------------- the model
 
 
-def test_heights_between_cells_are_bilinear_and_beside_gaps_the_nearest() -> None:
+def test_heights_between_cells_are_bilinear_and_beside_gaps_the_nearest():
     model = dtm([[1.0, 2.0, NAN], [3.0, 4.0, 5.0]], cell_m=2.0, corner_m=(10.0, 20.0), sigma_common_m=0.01)
     places = np.array([[11.0, 19.0], [12.0, 18.0], [11.0, 18.5], [13.2, 18.8], [15.0, 17.0], [9.0, 19.0]])
     height, sigma = model.at(places)
@@ -298,7 +298,7 @@ def test_heights_between_cells_are_bilinear_and_beside_gaps_the_nearest() -> Non
     assert common.at_common(np.array([[0.6, -1.2], [9.0, 9.0]])) == pytest.approx([0.3, 0.2])
 
 
-def test_a_seam_is_the_step_beside_the_slopes() -> None:
+def test_a_seam_is_the_step_beside_the_slopes():
     """Heights 0, 1, 3, 4: a step of 2 where both sides rise by 1; turned by a quarter the same."""
     row = {"sigma_m": np.array([[0.1, 0.2, 0.3, 0.4]]), "source": np.array([[1, 1, 2, 2]], np.uint8)}
     model = dtm([[0.0, 1.0, 3.0, 4.0]], **row)
@@ -355,7 +355,7 @@ def channel(**changes: object) -> Section:
     return Section(**given | changes)
 
 
-def test_a_trapezium_at_half_its_depth() -> None:
+def test_a_trapezium_at_half_its_depth():
     """Area 2.5 m2, perimeter 2 + sqrt(5), width 3 m; the area falls by 1.5 m with each height of the bed."""
     n, z = np.array([0.0, 1.0, 3.0, 4.0]), np.array([2.0, 0.0, 0.0, 2.0])
     area, perimeter, width, weights = _wetted(n, z, 1.0)
@@ -364,7 +364,7 @@ def test_a_trapezium_at_half_its_depth() -> None:
     assert _wetted(n, z, 2.0)[0] == pytest.approx(6.0)
 
 
-def test_the_hydraulic_table_of_a_trapezium() -> None:
+def test_the_hydraulic_table_of_a_trapezium():
     section = channel(height_m=np.array([2.0, 0.0, 0.0, 2.0]))
     table = hydraulic_table(section, Fusion(sections={"levels": 4}))
     assert table["level_m"].tolist() == [0.5, 1.0, 1.5, 2.0]
@@ -387,7 +387,7 @@ def test_the_hydraulic_table_of_a_trapezium() -> None:
     assert (thick["low_radius_m"] == 0).all()
 
 
-def test_water_behind_a_ridge_does_not_count() -> None:
+def test_water_behind_a_ridge_does_not_count():
     """Beyond a crest of 1.2 m lies a hollow: at the level of 1 m the channel alone is wet."""
     section = channel(
         n_m=np.array([-2.0, -1.0, 1.0, 2.0, 3.0, 4.0]),
@@ -401,7 +401,7 @@ def test_water_behind_a_ridge_does_not_count() -> None:
     assert table["width_m"].iloc[1] == pytest.approx(2 + 0.5 + 1 / 1.2)
 
 
-def test_the_long_profile_of_a_trapezium() -> None:
+def test_the_long_profile_of_a_trapezium():
     row = long_profile([channel()]).iloc[0]
     assert row["thalweg_n_m"] == 1.0
     assert row["thalweg_m"] == 0.0
@@ -415,7 +415,7 @@ def test_the_long_profile_of_a_trapezium() -> None:
     assert channel(height_m=np.array([2.0, 0.1, NAN, 2.0])).thalweg_m == -1.0
 
 
-def test_a_volume_of_two_cells() -> None:
+def test_a_volume_of_two_cells():
     """1 and 2 m of water on 4 m2 each; 0.4 m of their own that correlate by 1/e, 0.3 m in common."""
     model = dtm([[-1.0, -2.0], [1.0, NAN]], cell_m=2.0, sigma_m=0.5, sigma_common_m=0.3)
     volume, sigma, area = volume_below(model, 0.0, np.ones((2, 2), bool), 2.0)
@@ -425,7 +425,7 @@ def test_a_volume_of_two_cells() -> None:
     assert alone == pytest.approx((4.0, 2.0, 4.0))
 
 
-def test_the_hypsometry_of_three_cells() -> None:
+def test_the_hypsometry_of_three_cells():
     model = dtm([[0.0, 1.0, 3.0, 9.0]], cell_m=2.0, sigma_m=0.3, sigma_common_m=0.3)
     table = hypsometry(model, np.array([[True, True, True, False]]), Fusion(sections={"levels": 4}))
     assert table["level_m"].tolist() == [0.0, 1.0, 2.0, 3.0]
@@ -456,7 +456,7 @@ def bed_file(path: Path, height_m: object, sigma_m: object, *, nodata: float = N
     return path
 
 
-def test_a_bed_keeps_its_cells_on_its_own_grid_and_is_bilinear_on_another(tmp_path: Path) -> None:
+def test_a_bed_keeps_its_cells_on_its_own_grid_and_is_bilinear_on_another(tmp_path):
     """A cell counts if height and sigma are known; half a cell on lies the mean of two."""
     path = bed_file(tmp_path / "bed.tif", [[1.0, 2.0, NAN, 4.0]], [[0.1, 0.1, 0.1, NAN]], nodata=-9999.0)
     found = layer_of_bed(path, np.array([9.0, 20.0]), 1.0, (1, 5))
@@ -475,7 +475,7 @@ def test_a_bed_keeps_its_cells_on_its_own_grid_and_is_bilinear_on_another(tmp_pa
         read_bands(path, 5)
 
 
-def test_the_grid_of_a_model_continues_that_of_its_bed(tmp_path: Path) -> None:
+def test_the_grid_of_a_model_continues_that_of_its_bed(tmp_path):
     """Three rows and four columns from 10, 20; water beyond them adds whole cells."""
     path = bed_file(tmp_path / "bed.tif", np.zeros((3, 4)), np.ones((3, 4)))
     inside = np.array([[11.0, 18.0], [13.0, 18.0], [12.0, 19.0]])
@@ -490,7 +490,7 @@ def test_the_grid_of_a_model_continues_that_of_its_bed(tmp_path: Path) -> None:
         _grid(path, {}, np.array([[1e5, 18.0], [12.0, -1e5], [12.0, 20.0]]), 1.0)
 
 
-def test_levels_end_at_the_lower_bank() -> None:
+def test_levels_end_at_the_lower_bank():
     """One metre on the right bank, and nothing but the far bank beside the thalweg: levels up to 1 m."""
     for heights in ([1.0, 0.0, 3.0, 4.0], [4.0, 3.0, 0.0, 1.0]):
         table = hydraulic_table(channel(height_m=np.array(heights)), Fusion(sections={"levels": 4}))

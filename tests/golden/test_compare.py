@@ -72,7 +72,7 @@ KINDS = {
 
 
 @pytest.mark.parametrize("name", KINDS)
-def test_one_changed_value_is_found_and_named(tmp_path: Path, name: str) -> None:
+def test_one_changed_value_is_found_and_named(tmp_path, name):
     write: Callable[[Path, float], None]
     write, words = KINDS[name]
     for folder, x in (("before", 1.5), ("same", 1.5), ("after", LAST_BIT)):
@@ -85,7 +85,7 @@ def test_one_changed_value_is_found_and_named(tmp_path: Path, name: str) -> None
 
 
 @pytest.mark.parametrize("name", ["table.parquet", "points.laz", "facts.json", "index.html"])
-def test_a_tolerance_covers_the_last_bit_and_no_more(tmp_path: Path, name: str) -> None:
+def test_a_tolerance_covers_the_last_bit_and_no_more(tmp_path, name):
     write, _ = KINDS[name]
     for folder, x in (("before", 1.5), ("near", LAST_BIT), ("far", 1.5 + 1e-9)):
         (tmp_path / folder).mkdir()
@@ -94,7 +94,7 @@ def test_a_tolerance_covers_the_last_bit_and_no_more(tmp_path: Path, name: str) 
     assert len(list(differences(tmp_path / "before", tmp_path / "far", tolerance=1e-12))) == 1
 
 
-def test_missing_and_new_files_are_named(tmp_path: Path) -> None:
+def test_missing_and_new_files_are_named(tmp_path):
     for folder in ("before", "after"):
         (tmp_path / folder).mkdir()
         a_json(tmp_path / folder / "facts.json", 1.0)

@@ -59,7 +59,7 @@ def with_antenna(
 
 
 @pytest.mark.parametrize("model", ["perspective", "fisheye"])
-def test_derivatives_are_those_of_finite_differences(rng: np.random.Generator, model: str) -> None:
+def test_derivatives_are_those_of_finite_differences(rng, model):
     problem, _ = scene(rng, images=6, points=60, model=model)
     layout, x = start_of(problem)
     b = problem.block
@@ -95,7 +95,7 @@ def test_derivatives_are_those_of_finite_differences(rng: np.random.Generator, m
         Correlation(white=0.5, slow=1.2, reach_rad=0.2, power=1.5, white_across=0.6, slow_across=1.4),
     ],
 )
-def test_eliminating_points_changes_nothing(rng: np.random.Generator, model: Correlation) -> None:
+def test_eliminating_points_changes_nothing(rng, model):
     problem, truth = scene(rng, images=8, points=60)
     problem = with_antenna(problem, truth, rng)
     layout, x = start_of(problem)
@@ -117,7 +117,7 @@ def test_eliminating_points_changes_nothing(rng: np.random.Generator, model: Cor
     assert np.abs((found.g - right) / scale).max() < 1e-6 * np.abs(right / scale).max()
 
 
-def test_antenna_derivatives(rng: np.random.Generator) -> None:
+def test_antenna_derivatives(rng):
     """The gradient of the square sum by finite differences; shift, lever arm, clock, control points."""
     problem, truth = scene(rng, images=8, points=60)
     problem = with_antenna(problem, truth, rng, clock_s=0.1)
@@ -146,7 +146,7 @@ def test_antenna_derivatives(rng: np.random.Generator) -> None:
         assert -(up - down) / 4e-6 == pytest.approx(g[column], rel=1e-4, abs=1e-2)
 
 
-def test_truth_is_found_without_noise(rng: np.random.Generator) -> None:
+def test_truth_is_found_without_noise(rng):
     problem, truth = scene(rng, images=12, points=200, white_px=0.0)
     xy = block_scene.project(
         truth.camera, truth.R, truth.C, problem.marks.image, truth.G[problem.marks.point]
@@ -163,7 +163,7 @@ def test_truth_is_found_without_noise(rng: np.random.Generator) -> None:
     assert found.sigma0 < 1e-6
 
 
-def test_large_coordinates_lose_nothing() -> None:
+def test_large_coordinates_lose_nothing():
     here, _ = scene(np.random.default_rng(1), images=10, points=150)
     far, _ = scene(np.random.default_rng(1), images=10, points=150, origin=np.array([4.5e5, 5.6e6, 300.0]))
     a, b = adjust_plain(here), adjust_plain(far)
@@ -172,7 +172,7 @@ def test_large_coordinates_lose_nothing() -> None:
     np.testing.assert_allclose(b.cov, a.cov, rtol=1e-4, atol=1e-12)
 
 
-def test_a_block_without_datum_names_its_unknowns(rng: np.random.Generator) -> None:
+def test_a_block_without_datum_names_its_unknowns(rng):
     problem, _ = scene(rng, images=10, points=150)
     free = replace(problem, control=ControlPoints.none(), marks=ControlMarks.none())
     with pytest.raises(UnobservableError, match=r"do not determine .*\(7 combinations"):
@@ -185,7 +185,7 @@ def test_a_block_without_datum_names_its_unknowns(rng: np.random.Generator) -> N
     assert not fixed.cov[:6].any()
 
 
-def test_blunders_are_left_out_and_counted(rng: np.random.Generator) -> None:
+def test_blunders_are_left_out_and_counted(rng):
     clean, truth = scene(np.random.default_rng(5), points=500, outliers=0.0)
     dirty, _ = scene(np.random.default_rng(5), points=500, outliers=0.04)
     wrong = np.linalg.norm(dirty.block.mark_px - clean.block.mark_px, axis=1)
@@ -205,7 +205,7 @@ def test_blunders_are_left_out_and_counted(rng: np.random.Generator) -> None:
     assert each.mean() < 3
 
 
-def test_a_feature_found_twice_counts_once(rng: np.random.Generator) -> None:
+def test_a_feature_found_twice_counts_once(rng):
     problem, _ = scene(rng, images=10, points=120)
     b = problem.block
     p = len(b.points_block_m)
@@ -228,7 +228,7 @@ def test_a_feature_found_twice_counts_once(rng: np.random.Generator) -> None:
     assert 0.99 < np.median(ratio) < 1.1
 
 
-def test_antenna_positions_replace_control_points(rng: np.random.Generator) -> None:
+def test_antenna_positions_replace_control_points(rng):
     problem, truth = scene(rng, images=40, points=600, control=0, check=6)
     problem = with_antenna(problem, truth, rng, shift=False)
     found = adjust_block(problem, block_scene.OPTIONS)
@@ -243,7 +243,7 @@ def test_antenna_positions_replace_control_points(rng: np.random.Generator) -> N
     assert np.sqrt(np.square(off).mean()) < 0.05
 
 
-def test_a_common_shift_of_the_antenna_is_found_with_control(rng: np.random.Generator) -> None:
+def test_a_common_shift_of_the_antenna_is_found_with_control(rng):
     problem, truth = scene(rng, images=30, points=500)
     problem = with_antenna(problem, truth, rng, shift=True, lever=0.0)
     found = adjust_block(problem, block_scene.OPTIONS)
@@ -254,7 +254,7 @@ def test_a_common_shift_of_the_antenna_is_found_with_control(rng: np.random.Gene
     assert (sigma < 0.05).all()
 
 
-def test_a_weighted_interior_stays_near_its_calibration(rng: np.random.Generator) -> None:
+def test_a_weighted_interior_stays_near_its_calibration(rng):
     problem, truth = scene(rng, images=20, points=300)
     sigma = np.array([0.3, 0.3, 0.3, 0.3, 1e-3, 1e-3, 1e-4, 1e-4, 0.0])
     known = truth.camera.with_parameters(truth.camera.parameters, np.diag(sigma**2))
@@ -267,7 +267,7 @@ def test_a_weighted_interior_stays_near_its_calibration(rng: np.random.Generator
     assert (np.abs(off) < 4 * after[:8]).all()
 
 
-def test_square_pixels_share_a_focal_length(rng: np.random.Generator) -> None:
+def test_square_pixels_share_a_focal_length(rng):
     problem, _ = scene(rng, images=12, points=200)
     camera = problem.block.cameras[0]
     apart = camera.with_parameters(camera.parameters + np.eye(9)[0])
@@ -280,7 +280,7 @@ def test_square_pixels_share_a_focal_length(rng: np.random.Generator) -> None:
     assert cov[0, 0] == cov[0, 1] == cov[1, 1] > 0
 
 
-def test_covariance_is_that_of_the_dense_system() -> None:
+def test_covariance_is_that_of_the_dense_system():
     # a draw in which no control point is left out: their rows are zero here
     problem, _ = scene(np.random.default_rng(0), images=8, points=60)
     found = adjust_plain(problem)
@@ -290,7 +290,7 @@ def test_covariance_is_that_of_the_dense_system() -> None:
     np.testing.assert_allclose(found.cov, cov[:u, :u], rtol=1e-4, atol=1e-12)
 
 
-def test_no_marks_at_all_is_said(rng: np.random.Generator) -> None:
+def test_no_marks_at_all_is_said(rng):
     problem, _ = scene(rng, images=6, points=60)
     b = problem.block
     empty = replace(
@@ -304,7 +304,7 @@ def test_no_marks_at_all_is_said(rng: np.random.Generator) -> None:
         adjust_plain(replace(problem, block=empty, marks=ControlMarks.none()))
 
 
-def test_an_image_and_a_check_point_that_lose_their_marks_are_named(rng: np.random.Generator) -> None:
+def test_an_image_and_a_check_point_that_lose_their_marks_are_named(rng):
     problem, truth = scene(rng, images=20, points=300)
     b, marks = problem.block, problem.marks
     px = b.mark_px.copy()
@@ -322,7 +322,7 @@ def test_an_image_and_a_check_point_that_lose_their_marks_are_named(rng: np.rand
     assert np.abs(pose_errors(found, truth)[others] / sigma[others]).max() < 4.5
 
 
-def test_the_weight_and_the_information_of_a_track_of_students_errors() -> None:
+def test_the_weight_and_the_information_of_a_track_of_students_errors():
     """4 degrees of freedom, 6 of the track: weight (4 + 6) / (4 + 6), information (4 + 6) / (4 + 6 + 2)."""
     heavy, six = Correlation(freedom=4.0), np.array([6.0])
     assert heavy.weights(six, six) == pytest.approx(1.0)
@@ -331,7 +331,7 @@ def test_the_weight_and_the_information_of_a_track_of_students_errors() -> None:
     assert Correlation().information(six) == Correlation().weights(np.array([16.0]), six) == 1.0
 
 
-def test_a_check_point_is_suspect_beyond_three_degrees_of_freedom() -> None:
+def test_a_check_point_is_suspect_beyond_three_degrees_of_freedom():
     limit = 21.108  # upper 0.01 % of chi-square with 3 degrees of freedom
     problem, _ = scene(np.random.default_rng(1), images=8, points=120, control=4, check=6)
     adjusted = adjust_plain(problem)

@@ -65,7 +65,7 @@ def inside(values: list[float], degrees: int) -> bool:
     return bool(low < np.mean(values) < high)
 
 
-def test_poses_are_consistent_when_the_clock_is_off() -> None:
+def test_poses_are_consistent_when_the_clock_is_off():
     """Without control points the clock moves all images along the track, and the covariance says so."""
     single, joint, clock, along, hidden = [], [], [], [], []
     for seed in range(SEEDS):
@@ -85,7 +85,7 @@ def test_poses_are_consistent_when_the_clock_is_off() -> None:
     assert not inside(hidden, SEEDS)
 
 
-def test_control_points_tell_the_clock() -> None:
+def test_control_points_tell_the_clock():
     """With control points on the bank the positions tell when the images were taken."""
     found, _, late = late_block(3, told=True, late_s=0.25, control=6)
     value, sigma = clock_of(found)
@@ -95,7 +95,7 @@ def test_control_points_tell_the_clock() -> None:
     assert 0.01 < sigma < 0.03
 
 
-def test_a_clock_far_off_is_told() -> None:
+def test_a_clock_far_off_is_told():
     found, _, _ = late_block(3, told=True, late_s=1.5, control=6)
     antenna = found.problem.antenna
     (note,) = clock_notes(antenna, clock_of(found)[0])
@@ -105,7 +105,7 @@ def test_a_clock_far_off_is_told() -> None:
     assert clock_notes(None, 9.0) == []
 
 
-def test_jitter_lies_along_the_motion() -> None:
+def test_jitter_lies_along_the_motion():
     antenna = Antenna(
         image=np.arange(2),
         t_s=np.array([0.0, 1.0]),

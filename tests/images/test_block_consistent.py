@@ -64,11 +64,11 @@ def check_consistent(effects: dict, seeds: int = SEEDS) -> None:
     assert low < checks < high
 
 
-def test_poses_are_consistent_for_errors_that_wander() -> None:
+def test_poses_are_consistent_for_errors_that_wander():
     check_consistent(WANDERING)
 
 
-def test_formal_sigmas_are_too_small() -> None:
+def test_formal_sigmas_are_too_small():
     """The same blocks without the model: what the test above must be able to see."""
     _, joint, _ = study(FORMAL, WANDERING, 10)
     assert joint > band(6 * 24 * 10)[1]
@@ -90,7 +90,7 @@ def along_the_rows(tracks, part):
     return tracks.first, part.by_point, part.residual, tracks.sigma_px, tracks.view
 
 
-def test_errors_along_and_across_and_their_smoothness_are_found() -> None:
+def test_errors_along_and_across_and_their_smoothness_are_found():
     rng = np.random.default_rng(21)
     tracks, part = residuals_at_truth(21)
     true = Correlation(white=0.8, slow=3.0, reach_rad=0.5, power=1.6, white_across=0.5, slow_across=0.6)
@@ -107,7 +107,7 @@ def test_errors_along_and_across_and_their_smoothness_are_found() -> None:
     assert found.power > 1.2
 
 
-def test_parallax_is_the_way_of_a_point_as_the_camera_moves(rng: np.random.Generator) -> None:
+def test_parallax_is_the_way_of_a_point_as_the_camera_moves(rng):
     problem, truth = scene(rng, images=12, points=100, start_off=0.0)
     b = problem.block
     x = State(b.cameras, b.R_block_ccs, b.centre_block_m, b.points_block_m, truth.G, np.zeros(0))
@@ -121,7 +121,7 @@ def test_parallax_is_the_way_of_a_point_as_the_camera_moves(rng: np.random.Gener
     np.testing.assert_allclose(rolled, along @ turned.T, atol=1e-12)
 
 
-def test_independent_errors_stay_independent() -> None:
+def test_independent_errors_stay_independent():
     tracks, part = residuals_at_truth(8, white_px=0.24)
     found = estimate(tracks.first, part.by_point, part.residual, tracks.sigma_px, tracks.view)
     near = np.hypot(found.white, found.slow * np.sqrt(-np.expm1(-0.05 / found.reach_rad)))
@@ -129,7 +129,7 @@ def test_independent_errors_stay_independent() -> None:
     assert found.slow * np.sqrt(-np.expm1(-0.2 / found.reach_rad)) < 0.2
 
 
-def test_heavy_tails_of_tracks_are_found() -> None:
+def test_heavy_tails_of_tracks_are_found():
     tracks, part = residuals_at_truth(9, white_px=0.24)
     rng = np.random.default_rng(0)
     size = 1 / np.sqrt(rng.chisquare(4, len(tracks.point)) / 4)
@@ -139,7 +139,7 @@ def test_heavy_tails_of_tracks_are_found() -> None:
     assert found.white == pytest.approx(0.8, rel=0.08)
 
 
-def test_the_likelihood_prefers_the_truth_to_other_reaches() -> None:
+def test_the_likelihood_prefers_the_truth_to_other_reaches():
     a = Correlation(white=0.5, slow=1.0, reach_rad=0.1)
     assert a.differs(Correlation(white=0.5, slow=1.0, reach_rad=0.2), 0.03)
     assert not a.differs(Correlation(white=0.505, slow=1.0, reach_rad=0.1), 0.03)
@@ -147,7 +147,7 @@ def test_the_likelihood_prefers_the_truth_to_other_reaches() -> None:
     assert not Correlation(slow=1, reach_rad=30).differs(Correlation(slow=2**0.5, reach_rad=60), 0.03)
 
 
-def test_leaves_in_the_wind_take_no_part() -> None:
+def test_leaves_in_the_wind_take_no_part():
     """Points of one place that move together from image to image, by half a pixel."""
     rng = np.random.default_rng(11)
     problem, truth = scene(rng, images=24, points=600)
@@ -176,7 +176,7 @@ def test_leaves_in_the_wind_take_no_part() -> None:
     assert (calm == 1).all()
 
 
-def test_neighbours_err_alike(rng: np.random.Generator) -> None:
+def test_neighbours_err_alike(rng):
     """The covariance between neighbours is that of their difference over seeds, not zero."""
     problem, _ = scene(rng, images=24, points=400, **WANDERING)
     Q = pose_covariance(adjust_block(problem, block_scene.OPTIONS))

@@ -1,7 +1,6 @@
 """Blocks of other people with published adjustments: both by DBAT (Boerlin and Grussenmeyer 2013)."""
 
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -87,7 +86,7 @@ def strasbourg(folder: Path) -> Problem:
     )
 
 
-def test_strasbourg_with_control_and_check_points(data_dir: Path, record_property: Any) -> None:
+def test_strasbourg_with_control_and_check_points(data_dir, record_property):
     problem = strasbourg(data_dir / "dbat_sxb/script/sxb")
     found = adjust_block(problem, AS_STATED)
     record_property("sigma0", found.sigma0)
@@ -173,7 +172,7 @@ def free_network(block: ImageBlock, free: tuple[str, ...]) -> Problem:
     )
 
 
-def test_rome_with_the_published_camera(data_dir: Path) -> None:
+def test_rome_with_the_published_camera(data_dir):
     """With DBAT's camera held, the square sum is theirs; their five interior unknowns are put back."""
     block = rome(data_dir / "dbat_roma/script/romabundledemo", corrected=True)
     found = adjust_block(free_network(block, ()), AS_STATED)
@@ -182,7 +181,7 @@ def test_rome_with_the_published_camera(data_dir: Path) -> None:
     assert found.sigma0 * np.sqrt(found.redundancy / 101801) == pytest.approx(0.582769, abs=1e-6)
 
 
-def test_rome_self_calibrated(data_dir: Path) -> None:
+def test_rome_self_calibrated(data_dir):
     block = rome(data_dir / "dbat_roma/script/romabundledemo", corrected=False)
     found = adjust_block(free_network(block, ("fx", "fy", "cx", "cy", "k1", "k2", "k3")), AS_STATED)
     assert found.redundancy == 101801 - 1

@@ -1,8 +1,6 @@
 """The covariance of a lens that a block finds out for itself."""
 
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -17,7 +15,7 @@ FACTOR = 2.5
 
 
 @pytest.fixture(scope="module")
-def adjusted() -> AdjustedBlock:
+def adjusted():
     problem, _ = block_scene.scene(np.random.default_rng(5), images=14, points=250)
     # a lens of which some is known beforehand
     return adjust_block(
@@ -35,7 +33,7 @@ def larger(found: AdjustedBlock, factor: float) -> np.ndarray:
     return with_shared_errors(found.problem, found.layout, found.x, found.cov, factor)
 
 
-def test_it_is_the_inverse_of_normal_equations_that_tell_less(adjusted: AdjustedBlock) -> None:
+def test_it_is_the_inverse_of_normal_equations_that_tell_less(adjusted):
     free, own = np.flatnonzero(adjusted.layout.free), lens(adjusted)
     P = np.zeros_like(adjusted.cov)
     for at, weights, _ in interior_priors(adjusted.problem, adjusted.layout, adjusted.x):
@@ -57,7 +55,7 @@ def test_it_is_the_inverse_of_normal_equations_that_tell_less(adjusted: Adjusted
     )
 
 
-def test_what_the_images_tell_counts_less_and_what_is_known_stays(adjusted: AdjustedBlock) -> None:
+def test_what_the_images_tell_counts_less_and_what_is_known_stays(adjusted):
     own = lens(adjusted)
     names = [adjusted.layout.names[k].split()[-1] for k in own]
     ratio = dict(zip(names, np.diag(larger(adjusted, FACTOR))[own] / np.diag(adjusted.cov)[own], strict=True))
@@ -71,13 +69,13 @@ def test_what_the_images_tell_counts_less_and_what_is_known_stays(adjusted: Adju
     assert ((poses > 1 - 1e-9) & (poses < FACTOR)).all()
 
 
-def test_a_lens_that_is_held_or_a_factor_of_one_changes_nothing(adjusted: AdjustedBlock) -> None:
+def test_a_lens_that_is_held_or_a_factor_of_one_changes_nothing(adjusted):
     assert larger(adjusted, 1.0) is adjusted.cov
     held = adjust_block(replace(adjusted.problem, free=((),), prior_sigma={}))
     assert larger(held, FACTOR) is held.cov
 
 
-def test_the_adjustment_does_it(adjusted: AdjustedBlock) -> None:
+def test_the_adjustment_does_it(adjusted):
     options = BlockAdjustment(interior_variance=FACTOR)
     again = adjust_block(adjusted.problem.shifted(adjusted.origin_m), options, scale_by_sigma0=False)
     sigma = np.sqrt(np.diag(again.cov)[lens(again)] / np.diag(larger(adjusted, FACTOR))[lens(adjusted)])
@@ -86,7 +84,7 @@ def test_the_adjustment_does_it(adjusted: AdjustedBlock) -> None:
 
 
 @pytest.mark.real
-def test_a_real_block_errs_in_its_lens_by_twice_its_variance(data_dir: Path, record_property: Any) -> None:
+def test_a_real_block_errs_in_its_lens_by_twice_its_variance(data_dir, record_property):
     """Five aerial images of Strasbourg: the camera, sought freely, against its calibration.
 
     Camera constant, principal point and distortion, 7 numbers: their mean square is 1 in a band of 0.24 to

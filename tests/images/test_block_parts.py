@@ -1,7 +1,6 @@
 """Whether the parts of a block agree on the lens."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -42,11 +41,11 @@ def bent(problem: Problem, by: float) -> Problem:
 
 
 @pytest.fixture(scope="module")
-def still() -> AdjustedBlock:
+def still():
     return adjust_block(scene(1), BlockAdjustment(interior_variance=2.0), scale_by_sigma0=False)
 
 
-def test_parts_with_independent_errors_agree_as_chi_square_says(still: AdjustedBlock) -> None:
+def test_parts_with_independent_errors_agree_as_chi_square_says(still):
     found = agreement(still)
     # 8 unknowns of the lens: focal lengths, principal point, k1, k2, p1, p2; two parts
     assert (found.degrees, found.parts) == (8, 2)
@@ -55,13 +54,13 @@ def test_parts_with_independent_errors_agree_as_chi_square_says(still: AdjustedB
     assert not any("disagree about the lens" in note for note in still.notes)
 
 
-def test_a_lens_that_changes_between_exposures_is_found_out() -> None:
+def test_a_lens_that_changes_between_exposures_is_found_out():
     moved = adjust_block(bent(scene(1), 0.05), BlockAdjustment(interior_variance=2.0))
     assert moved.interior_variance > 4.0
     assert any("disagree about the lens" in note for note in moved.notes)
 
 
-def test_the_factor_adds_what_parts_have_in_common_and_what_they_differ_by() -> None:
+def test_the_factor_adds_what_parts_have_in_common_and_what_they_differ_by():
     assert Agreement(square=10.0, degrees=8, parts=2).interior_variance(2.0, 1.0) == 2.0
     assert Agreement(square=40.0, degrees=8, parts=2).interior_variance(2.0, 1.0) == pytest.approx(6.0)
     # covariances that are multiplied already
@@ -72,7 +71,7 @@ def test_the_factor_adds_what_parts_have_in_common_and_what_they_differ_by() -> 
     assert Agreement(square=20.2, degrees=8, parts=2).interior_variance(1.0, 1.0) == pytest.approx(2.525)
 
 
-def test_few_images_or_a_lens_that_is_held_have_no_parts_to_compare(still: AdjustedBlock) -> None:
+def test_few_images_or_a_lens_that_is_held_have_no_parts_to_compare(still):
     held = replace(still.problem, free=((),), prior_sigma={})
     assert parts_agreement(held, still.x, still.tracks, still.correlation).degrees == 0
     few = replace(still.problem.block, camera=np.arange(18) // 6, cameras=still.problem.block.cameras * 3)
@@ -82,7 +81,7 @@ def test_few_images_or_a_lens_that_is_held_have_no_parts_to_compare(still: Adjus
 
 
 @pytest.mark.real
-def test_the_lens_of_a_real_block_moved(data_dir: Path) -> None:
+def test_the_lens_of_a_real_block_moved(data_dir):
     """60 pictures of an arch in Rome; the published adjustment finds a principal point for each picture.
 
     With one for each, DBAT's sigma0 falls from 0.567 to 0.503 px, and they scatter by 0.05 and 0.08 mm where

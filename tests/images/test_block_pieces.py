@@ -21,7 +21,7 @@ N = 32
 
 
 @pytest.fixture(scope="module")
-def survey() -> tuple[Problem, object]:
+def survey():
     return block_scene.scene(np.random.default_rng(8), images=N, points=400, control=9, check=5)
 
 
@@ -73,7 +73,7 @@ def piece(block: ImageBlock, rows, *, turn: float) -> ImageBlock:
     return part.transformed(exp_rotation([turn, -0.4, 2.0]), np.array([3.0, -5.0, turn]), 0.1 + 0.1 * turn)
 
 
-def test_pieces_are_adjusted_by_themselves_and_losses_counted_in_seconds(survey, tmp_path: Path) -> None:
+def test_pieces_are_adjusted_by_themselves_and_losses_counted_in_seconds(survey, tmp_path):
     problem, truth = survey
     blocks = [piece(problem.block, range(14, N), turn=1.0), piece(problem.block, range(11), turn=0.5)]
     for path, block in zip(("block.npz", "pieces/piece_1.npz"), blocks, strict=True):
@@ -105,7 +105,7 @@ def test_pieces_are_adjusted_by_themselves_and_losses_counted_in_seconds(survey,
     assert set(control["piece"]) == {0, 1}
 
 
-def test_a_piece_without_control_points_is_left_with_its_reason(survey, tmp_path: Path) -> None:
+def test_a_piece_without_control_points_is_left_with_its_reason(survey, tmp_path):
     problem, truth = survey
     blocks = [piece(problem.block, range(14, N), turn=1.0), piece(problem.block, range(9), turn=0.5)]
     late = problem.marks.image >= 14
@@ -120,7 +120,7 @@ def test_a_piece_without_control_points_is_left_with_its_reason(survey, tmp_path
         adjust_pieces(blocks[1:], predictions_of(truth), adjustment=BlockAdjustment(), **options)
 
 
-def test_marks_of_a_table_belong_to_the_piece_of_their_image(survey, tmp_path: Path) -> None:
+def test_marks_of_a_table_belong_to_the_piece_of_their_image(survey, tmp_path):
     problem, truth = survey
     blocks = [piece(problem.block, range(14, N), turn=1.0), piece(problem.block, range(11), turn=0.5)]
     tables(tmp_path, problem)
@@ -140,7 +140,7 @@ def test_marks_of_a_table_belong_to_the_piece_of_their_image(survey, tmp_path: P
     assert not found.table.duplicated(["image", "point"]).any()
 
 
-def test_gaps_of_images_without_time_and_at_the_end(survey) -> None:
+def test_gaps_of_images_without_time_and_at_the_end(survey):
     _, truth = survey
     poses = predictions_of(truth)
     lost = np.isin(np.arange(N), [4, 5, 9, N - 1])

@@ -20,7 +20,7 @@ OFF = np.array([0.2, -0.2, 0.1])
 
 
 @pytest.fixture(scope="module")
-def survey() -> tuple[Problem, object]:
+def survey():
     return block_scene.scene(np.random.default_rng(5), images=N, points=220, control=7, check=3)
 
 
@@ -60,7 +60,7 @@ def moved(control: ControlPoints, xyz) -> ControlPoints:
         (lambda x: x * 10, r"away from the trajectory.*unit \(metres\)"),
     ],
 )
-def test_other_places_and_orders_leave_no_residual_and_are_told(survey, change, answer: str) -> None:
+def test_other_places_and_orders_leave_no_residual_and_are_told(survey, change, answer):
     problem, truth = survey
     control = moved(problem.control, change(problem.control.points_wcs_m))
     with pytest.raises(GeometryError, match=answer):
@@ -68,14 +68,14 @@ def test_other_places_and_orders_leave_no_residual_and_are_told(survey, change, 
 
 
 @pytest.mark.parametrize("change", [lambda xy: xy * [1, -1] + [0, 540], lambda xy: xy / 2])
-def test_marks_of_another_convention_are_refused(survey, change) -> None:
+def test_marks_of_another_convention_are_refused(survey, change):
     problem, truth = survey
     marks = replace(problem.marks, xy_px=change(problem.marks.xy_px))
     with pytest.raises(GeometryError):
         orient_block(in_own_frame(problem), problem.control, marks, SETTINGS, predictions=predicted(truth))
 
 
-def test_a_late_clock_is_no_reason_to_refuse_control_points(survey) -> None:
+def test_a_late_clock_is_no_reason_to_refuse_control_points(survey):
     """30 m along the track, which the limit of 20 m would refuse; the zigzag tells that it is time."""
     problem, truth = survey
     fast = predicted(truth)
@@ -95,7 +95,7 @@ def test_a_late_clock_is_no_reason_to_refuse_control_points(survey) -> None:
     assert "images.clock" in note
 
 
-def test_the_shape_of_the_track_tells_a_wrong_clock(survey) -> None:
+def test_the_shape_of_the_track_tells_a_wrong_clock(survey):
     """Two seconds are 2 m, four times the window in which boards are looked for; a zigzag of 12 s tells."""
     problem, truth = survey
     zigzag = truth.C + np.stack(
@@ -119,14 +119,14 @@ def test_the_shape_of_the_track_tells_a_wrong_clock(survey) -> None:
     assert np.median(np.linalg.norm(off, axis=1)) < 0.1
 
 
-def test_images_stored_upside_down_are_told(survey) -> None:
+def test_images_stored_upside_down_are_told(survey):
     problem, truth = survey
     turned = replace(problem.block, R_block_ccs=problem.block.R_block_ccs @ np.diag([-1.0, -1.0, 1.0]))
     with pytest.raises(GeometryError, match=r"180 degrees away.*mounts"):
         check_attitudes(turned, Expected.of(turned, predicted(truth)))
 
 
-def test_points_on_a_line_and_points_that_are_no_control(survey) -> None:
+def test_points_on_a_line_and_points_that_are_no_control(survey):
     problem, truth = survey
     t = np.linspace(-20, 40, len(problem.control.names))
     line = moved(problem.control, np.stack([t, 0 * t + 8.0, 0 * t + 2.0], axis=1))
@@ -139,7 +139,7 @@ def test_points_on_a_line_and_points_that_are_no_control(survey) -> None:
         orient_block(in_own_frame(problem), every, problem.marks, SETTINGS, predictions=predicted(truth))
 
 
-def test_three_points_check_nothing_and_millimetres_are_doubted(survey) -> None:
+def test_three_points_check_nothing_and_millimetres_are_doubted(survey):
     problem, truth = survey
     few = problem.control.chosen(np.isin(np.arange(10), [0, 3, 9]))
     few = replace(few, check=np.zeros(3, bool))
@@ -157,7 +157,7 @@ def test_three_points_check_nothing_and_millimetres_are_doubted(survey) -> None:
     assert any("millimetres" in note for note in found.notes)
 
 
-def test_an_interior_orientation_of_another_camera(survey) -> None:
+def test_an_interior_orientation_of_another_camera(survey):
     problem, truth = survey
     camera = problem.block.cameras[0]
     cov = np.diag(np.where(np.arange(len(camera.parameters)) < 4, 0.5, 1e-4) ** 2.0)

@@ -48,7 +48,7 @@ def position_rms_m(found, truth) -> float:
     return float(np.sqrt(np.square(block_scene.pose_errors(found, truth)[:, :3]).mean()))
 
 
-def test_a_wrong_shape_is_left_for_the_predicted_one(block) -> None:
+def test_a_wrong_shape_is_left_for_the_predicted_one(block):
     problem, truth = block
     alone = adjust_block(problem, block_scene.OPTIONS)
     assert position_rms_m(alone, truth) > 1.0
@@ -63,7 +63,7 @@ def test_a_wrong_shape_is_left_for_the_predicted_one(block) -> None:
     assert misfit(found, alone, found) < misfit(alone, alone, found)
 
 
-def test_without_predictions_or_doubt_nothing_changes(block) -> None:
+def test_without_predictions_or_doubt_nothing_changes(block):
     problem, truth = block
     assert adjust_from_either_start(problem, block_scene.OPTIONS, None)[3] == []
     good, truth = block_scene.scene(np.random.default_rng(0), images=IMAGES, points=300)
@@ -75,7 +75,7 @@ def test_without_predictions_or_doubt_nothing_changes(block) -> None:
     assert position_rms_m(found, truth) < 0.12
 
 
-def test_wrong_predictions_do_not_spoil_a_good_block() -> None:
+def test_wrong_predictions_do_not_spoil_a_good_block():
     good, truth = block_scene.scene(np.random.default_rng(0), images=IMAGES, points=300)
     wrong = replace(truth, R=exp_rotation(np.tile([1.0, 0, 0], (IMAGES, 1))) @ truth.R, C=truth.C + UP_M)
     _, found, _, notes = adjust_from_either_start(
@@ -85,7 +85,7 @@ def test_wrong_predictions_do_not_spoil_a_good_block() -> None:
     assert notes == []
 
 
-def test_images_without_prediction_keep_their_place_beside_their_neighbour(block) -> None:
+def test_images_without_prediction_keep_their_place_beside_their_neighbour(block):
     problem, truth = block
     good = replace(problem.block, R_block_ccs=truth.R, centre_block_m=truth.C)
     exact = replace(

@@ -60,7 +60,7 @@ def block(seed: int, **options: Any) -> tuple[Problem, list[Rigid]]:
     return simulated_block(lenses_of(true, rig), seed, rig=rig, **options)
 
 
-def test_derivatives_are_those_of_finite_differences(rng: np.random.Generator) -> None:
+def test_derivatives_are_those_of_finite_differences(rng):
     problem, _ = block(1, points=40)
     layout = Layout(problem)
     x = start_state(problem, layout)
@@ -82,7 +82,7 @@ def test_derivatives_are_those_of_finite_differences(rng: np.random.Generator) -
         np.testing.assert_allclose(by, numeric, rtol=1e-5, atol=3e-4)
 
 
-def test_normal_equations_are_those_of_all_points_as_unknowns() -> None:
+def test_normal_equations_are_those_of_all_points_as_unknowns():
     """Lenses that see one point in one exposure share its six unknowns."""
     problem, _ = block(2, points=60)
     layout = Layout(problem)
@@ -101,7 +101,7 @@ def test_normal_equations_are_those_of_all_points_as_unknowns() -> None:
     np.testing.assert_allclose(found.g / scale, s / scale, atol=1e-6)
 
 
-def test_a_rig_of_one_lens_is_no_rig() -> None:
+def test_a_rig_of_one_lens_is_no_rig():
     """The same images with and without a rig whose only lens is its frame: the same numbers."""
     problem = one_lens(block(3)[0], 0)
     b = problem.block
@@ -130,14 +130,14 @@ def squares(places: str, seeds: int) -> float:
     return float(np.mean(out))
 
 
-def test_poses_are_within_their_covariance_from_both_sides() -> None:
+def test_poses_are_within_their_covariance_from_both_sides():
     low, high = chi2.ppf([0.0005, 0.9995], 12 * 6 * EXPOSURES) / (12 * 6 * EXPOSURES)
     assert low < squares("weighted", 12) < high
     # places that are taken as known do not err that little
     assert squares("fixed", 4) > chi2.ppf(0.9995, 4 * 6 * EXPOSURES) / (4 * 6 * EXPOSURES)
 
 
-def test_places_of_lenses_are_found_by_the_block_if_asked() -> None:
+def test_places_of_lenses_are_found_by_the_block_if_asked():
     problem, _ = block(7)
     true = true_rig(TwinDualFisheye(), 7).T_front_lens["back"]
     found = plain_block(replace(problem, rig=replace(problem.rig, places="free")))
@@ -152,7 +152,7 @@ def test_places_of_lenses_are_found_by_the_block_if_asked() -> None:
     assert (np.diag(weighted.cov)[at] < np.diag(problem.rig.cov)[22:]).all()
 
 
-def test_exposures_come_out_as_poses_of_the_front_lens() -> None:
+def test_exposures_come_out_as_poses_of_the_front_lens():
     problem, fronts = block(12)
     # the front lens of one exposure was lost, of another one both see next to nothing
     b = problem.block
@@ -184,7 +184,7 @@ def test_exposures_come_out_as_poses_of_the_front_lens() -> None:
     np.testing.assert_array_equal(following, pose_covariance(found)[6 * k : 6 * k + 6, 6 * j : 6 * j + 6])
 
 
-def test_an_antenna_holds_the_pose_of_the_rig_once() -> None:
+def test_an_antenna_holds_the_pose_of_the_rig_once():
     problem, fronts = block(13)
     lever = np.array([0.3, -0.5, -0.2])
     layout = Layout(problem)
@@ -202,7 +202,7 @@ def test_an_antenna_holds_the_pose_of_the_rig_once() -> None:
     assert (pose_sigmas(with_it)[:, 0] < 0.5 * pose_sigmas(without)[:, 0]).all()
 
 
-def test_names_of_images_tell_their_exposure() -> None:
+def test_names_of_images_tell_their_exposure():
     true = true_rig(TwinDualFisheye(), 1)
     rig = calibrated(true, np.random.default_rng(1))
     cameras = [rig.cameras["back"], rig.cameras["front"]]
@@ -219,7 +219,7 @@ def test_names_of_images_tell_their_exposure() -> None:
         rig_frames(rig, ["front/a.jpg"], cameras[1:])
 
 
-def test_parts_of_a_block_agree_on_the_lenses_of_a_rig() -> None:
+def test_parts_of_a_block_agree_on_the_lenses_of_a_rig():
     """With all options of a survey, and enough exposures to compare parts of the block."""
     problem, fronts = block(16, fronts=way_of(16, 18), points=400)
     found = adjust_block(problem, BlockAdjustment())
@@ -229,7 +229,7 @@ def test_parts_of_a_block_agree_on_the_lenses_of_a_rig() -> None:
     assert error @ np.linalg.solve(cov, error) / len(error) < chi2.ppf(0.9995, len(error)) / len(error)
 
 
-def test_a_rig_that_was_opened_since_its_calibration_is_told() -> None:
+def test_a_rig_that_was_opened_since_its_calibration_is_told():
     problem, _ = block(17)
     rig = problem.rig
     assert interior_notes(plain_block(problem), None) == []

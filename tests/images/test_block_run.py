@@ -2,7 +2,6 @@
 
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -25,7 +24,7 @@ N = 30
 
 
 @pytest.fixture(scope="module")
-def survey() -> tuple[Problem, object]:
+def survey():
     problem, truth = block_scene.scene(np.random.default_rng(21), images=N, points=350, control=9, check=5)
     return problem, truth
 
@@ -71,7 +70,7 @@ def oriented(survey):
     return found, truth
 
 
-def test_a_block_finds_its_place_by_control_points_alone(survey) -> None:
+def test_a_block_finds_its_place_by_control_points_alone(survey):
     problem, truth = survey
     found = orient_block(model_frame(problem), problem.control, problem.marks, SETTINGS)
     each, _ = block_scene.normalised(found.adjusted, truth)
@@ -83,7 +82,7 @@ def test_a_block_finds_its_place_by_control_points_alone(survey) -> None:
     assert found.notes == []
 
 
-def test_poses_of_all_images_with_neighbours(oriented) -> None:
+def test_poses_of_all_images_with_neighbours(oriented):
     found, truth = oriented
     names = [f"{k:04d}.jpg" for k in range(N)]
     names.insert(7, "lost.jpg")
@@ -104,7 +103,7 @@ def test_poses_of_all_images_with_neighbours(oriented) -> None:
     assert (poses.rms_px[poses.oriented] < 0.5).all()
 
 
-def test_tables_and_facts(oriented) -> None:
+def test_tables_and_facts(oriented):
     found, _ = oriented
     adjusted = found.adjusted
     images = image_table(adjusted, [*adjusted.problem.block.images, "x.jpg"], {"x.jpg": "no overlap"})
@@ -130,7 +129,7 @@ def test_tables_and_facts(oriented) -> None:
     assert "check points: RMSE" in text
 
 
-def test_a_wrong_coordinate_is_named_with_its_size(survey) -> None:
+def test_a_wrong_coordinate_is_named_with_its_size(survey):
     """Small enough to pass the start: the adjustment must tell it."""
     problem, truth = survey
     control = np.flatnonzero(~problem.control.check)
@@ -154,7 +153,7 @@ def test_a_wrong_coordinate_is_named_with_its_size(survey) -> None:
     assert each.mean() < 2.2
 
 
-def test_what_cannot_be_put_into_the_world_is_said(survey) -> None:
+def test_what_cannot_be_put_into_the_world_is_said(survey):
     problem, truth = survey
     block = model_frame(problem)
     with pytest.raises(GeometryError, match=r"0 control points measured.*three of either"):
@@ -195,7 +194,7 @@ def gnss(truth, lever_ccs: np.ndarray, gap: tuple[float, float] = (0.0, 0.0)) ->
     return table[keep]
 
 
-def test_positions_at_the_exposures(survey) -> None:
+def test_positions_at_the_exposures(survey):
     _, truth = survey
     T_ics_ccs = Rigid(R=exp_rotation([0.1, 0.2, 0.3]), shift_m=np.array([1.0, 0.0, -0.5]))
     lever = antenna_lever_ccs(T_ics_ccs, [0.2, 0.1, -1.5])
@@ -246,7 +245,7 @@ def test_positions_at_the_exposures(survey) -> None:
     assert none is None
 
 
-def test_a_campaign_with_tables(survey, tmp_path: Path) -> None:
+def test_a_campaign_with_tables(survey, tmp_path):
     problem, truth = survey
     control = problem.control
     pd.DataFrame(
@@ -306,7 +305,7 @@ def test_a_campaign_with_tables(survey, tmp_path: Path) -> None:
     json.dumps(facts)
 
 
-def test_without_control_points_nothing_is_measured(survey) -> None:
+def test_without_control_points_nothing_is_measured(survey):
     problem, truth = survey
     section = ControlSettings(detect=False)
     options = {"tables": [], "grey": lambda n: None, "mask": lambda n: None}

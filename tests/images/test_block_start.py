@@ -28,7 +28,7 @@ def points_of(xyz: np.ndarray) -> ControlPoints:
     )
 
 
-def test_swapped_names_are_named_and_left_out(rng: np.random.Generator) -> None:
+def test_swapped_names_are_named_and_left_out(rng):
     source, target = pair(rng)
     target[[2, 6]] = target[[6, 2]]
     found = robust_similarity(source, target, NAMES, what="control points")
@@ -38,7 +38,7 @@ def test_swapped_names_are_named_and_left_out(rng: np.random.Generator) -> None:
     assert found.scale == pytest.approx(7.5, rel=0.01)
 
 
-def test_one_wrong_point_is_named_with_its_size(rng: np.random.Generator) -> None:
+def test_one_wrong_point_is_named_with_its_size(rng):
     source, target = pair(rng)
     target[4, 2] += 10.0
     found = robust_similarity(source, target, NAMES, what="control points")
@@ -47,7 +47,7 @@ def test_one_wrong_point_is_named_with_its_size(rng: np.random.Generator) -> Non
     assert found.notes[0].startswith("P4 is ")
 
 
-def test_points_on_a_line_are_refused(rng: np.random.Generator) -> None:
+def test_points_on_a_line_are_refused(rng):
     source, _ = pair(rng)
     line = np.outer(np.linspace(0, 1, 9), [80.0, 5.0, 1.0])
     assert spread_share(line) < 1e-12
@@ -55,19 +55,19 @@ def test_points_on_a_line_are_refused(rng: np.random.Generator) -> None:
         robust_similarity(source, line, NAMES, what="control points")
 
 
-def test_other_coordinates_are_refused(rng: np.random.Generator) -> None:
+def test_other_coordinates_are_refused(rng):
     source, _ = pair(rng)
     with pytest.raises(GeometryError, match=r"do not have the same shape.*names of the points"):
         robust_similarity(source, rng.uniform(0, 80, (9, 3)), NAMES, what="control points")
 
 
-def test_two_points_are_too_few(rng: np.random.Generator) -> None:
+def test_two_points_are_too_few(rng):
     source, target = pair(rng, 2)
     with pytest.raises(GeometryError, match=r"2 control points.*at least 3"):
         robust_similarity(source, target, NAMES, what="control points")
 
 
-def test_a_wrong_crs_is_told_by_the_distance(rng: np.random.Generator) -> None:
+def test_a_wrong_crs_is_told_by_the_distance(rng):
     _, target = pair(rng)
     near = target + np.array([0.0, -30.0, 2.0])
     check_place(points_of(target), near)
@@ -80,7 +80,7 @@ def test_a_wrong_crs_is_told_by_the_distance(rng: np.random.Generator) -> None:
     check_place(points_of(one), np.empty((0, 3)))  # nothing is known of the images
 
 
-def test_one_wrong_ray_does_not_move_the_point() -> None:
+def test_one_wrong_ray_does_not_move_the_point():
     centres = np.array([[0.0, 0, 0], [5, 0, 0], [10, 0, 0], [15, 0, 0], [20, 0, 0]])
     target = np.array([9.0, 25.0, 3.0])
     rays = target - centres

@@ -2,7 +2,6 @@
 
 import re
 import sys
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -15,28 +14,26 @@ from thalweg.images.sfm.colmap import uses_gpu
 from thalweg.settings.sections import MappingSettings
 
 
-def test_it_is_the_locked_version(repository: Path) -> None:
+def test_it_is_the_locked_version(repository):
     text = (repository / "pyproject.toml").read_text()
     (pinned,) = re.findall(r'"pycolmap==([\d.]+)"', text)
     assert colmap().__version__ == pinned
 
 
-def test_its_log_is_quiet(capfd: pytest.CaptureFixture[str]) -> None:
+def test_its_log_is_quiet(capfd):
     pc = colmap()
     pc.FeatureExtractor.create(pc.FeatureExtractionOptions(), pc.Device.cpu)  # tells that it was made
     pc.logging.error("an error that the callers tell in their own words")
     assert capfd.readouterr() == ("", "")
 
 
-def test_a_missing_module_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_module_is_said(monkeypatch):
     monkeypatch.setitem(sys.modules, "pycolmap", None)
     with pytest.raises(InputError, match=r"needs the package pycolmap.*thalweg\[images\]"):
         colmap()
 
 
-def test_a_graphics_card_is_used_where_it_is_asked_for_or_there(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_a_graphics_card_is_used_where_it_is_asked_for_or_there(monkeypatch, tmp_path):
     pc = colmap()
     monkeypatch.setattr(pc, "has_cuda", False)
     assert [uses_gpu("auto"), uses_gpu("cpu")] == [False, False]
@@ -51,9 +48,7 @@ def test_a_graphics_card_is_used_where_it_is_asked_for_or_there(
 
 
 @pytest.mark.parametrize("device", ["cpu", "cuda"])
-def test_the_device_reaches_each_step_of_colmap(
-    device: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_the_device_reaches_each_step_of_colmap(device, monkeypatch, tmp_path):
     """Options and device with which COLMAP would be called: none of it runs on a card here."""
     pc, on_gpu, called = colmap(), device == "cuda", {}
     monkeypatch.setattr(pc, "has_cuda", True)

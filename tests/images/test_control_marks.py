@@ -1,7 +1,5 @@
 """Boards found in rendered pictures where roughly known poses predict them."""
 
-from pathlib import Path
-
 import cv2
 import numpy as np
 import pytest
@@ -72,7 +70,7 @@ def picture(block: ImageBlock, k: int, places: np.ndarray, rng: np.random.Genera
 
 
 @pytest.fixture(scope="module")
-def pictures() -> dict[str, np.ndarray]:
+def pictures():
     rng = np.random.default_rng(3)
     block = block_of()
     return {name: picture(block, k, PLACES, rng) for k, name in enumerate(block.images)}
@@ -112,7 +110,7 @@ def errors_px(found: Measured, places: np.ndarray = PLACES) -> np.ndarray:
     return rows[["x_px", "y_px"]].to_numpy() - true
 
 
-def test_boards_are_measured_to_a_tenth_of_a_pixel(pictures: dict[str, np.ndarray]) -> None:
+def test_boards_are_measured_to_a_tenth_of_a_pixel(pictures):
     found = measure(pictures, survey())
     assert tuple(found.table.columns) == COLUMNS
     off = errors_px(found)
@@ -132,7 +130,7 @@ def test_boards_are_measured_to_a_tenth_of_a_pixel(pictures: dict[str, np.ndarra
     assert same.table.equals(found.table)
 
 
-def test_a_board_that_is_not_there_is_not_found(pictures: dict[str, np.ndarray]) -> None:
+def test_a_board_that_is_not_there_is_not_found(pictures):
     ghost = np.concatenate([PLACES, [[8.0, 2.0, 4.5]]])
     found = measure(pictures, survey(ghost))
     rows = found.table[found.table["point"] == "T4"]
@@ -142,7 +140,7 @@ def test_a_board_that_is_not_there_is_not_found(pictures: dict[str, np.ndarray])
     assert found.table["used"].sum() > 15
 
 
-def test_a_point_surveyed_wrongly_is_named(pictures: dict[str, np.ndarray]) -> None:
+def test_a_point_surveyed_wrongly_is_named(pictures):
     wrong = PLACES.copy()
     wrong[1, 0] += 0.7
     found = measure(pictures, survey(wrong), boards=BOARD.replace(search_m=0.5))
@@ -151,7 +149,7 @@ def test_a_point_surveyed_wrongly_is_named(pictures: dict[str, np.ndarray]) -> N
     assert np.abs(errors_px(found)).max() < 0.5
 
 
-def test_masked_and_small_boards_are_counted(pictures: dict[str, np.ndarray]) -> None:
+def test_masked_and_small_boards_are_counted(pictures):
     hidden = np.full((SIZE[1], SIZE[0]), 255, np.uint8)
     hidden[:, :360] = 0
     found = measure(pictures, survey(), mask=lambda name: hidden)
@@ -163,14 +161,14 @@ def test_masked_and_small_boards_are_counted(pictures: dict[str, np.ndarray]) ->
     assert far.table["reason"].str.startswith("too small: ").any()
 
 
-def test_the_colour_of_the_upper_left_quarter_counts(pictures: dict[str, np.ndarray]) -> None:
+def test_the_colour_of_the_upper_left_quarter_counts(pictures):
     right = measure(pictures, survey(), boards=BOARD.replace(upper_left="black"))
     wrong = measure(pictures, survey(), boards=BOARD.replace(upper_left="white"))
     assert right.counts["used"] > 15
     assert wrong.counts["used"] == 0
 
 
-def test_images_that_cannot_be_read_are_told(pictures: dict[str, np.ndarray]) -> None:
+def test_images_that_cannot_be_read_are_told(pictures):
     found = measure({k: v for k, v in pictures.items() if k != "3.png"}, survey())
     rows = found.table[found.table["image"] == "3.png"]
     assert set(rows["reason"]) == {"no picture"}
@@ -178,7 +176,7 @@ def test_images_that_cannot_be_read_are_told(pictures: dict[str, np.ndarray]) ->
         measure(pictures, ControlPoints.none())
 
 
-def test_pictures_and_masks_are_found_by_name(tmp_path: Path) -> None:
+def test_pictures_and_masks_are_found_by_name(tmp_path):
     (tmp_path / "deep").mkdir()
     cv2.imwrite(str(tmp_path / "deep" / "a.jpg"), np.full((4, 5), 200, np.uint8))
     (tmp_path / "b.jpg").write_text("none")

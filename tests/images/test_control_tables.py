@@ -53,7 +53,7 @@ def match(path: Path, **changes) -> tuple[ControlMarks, dict[str, int]]:
     )
 
 
-def test_the_table_of_the_house(tmp_path: Path) -> None:
+def test_the_table_of_the_house(tmp_path):
     text = "id,east_m,north_m,up_m,sigma_east_m,sigma_north_m,sigma_up_m,role\n"
     text += "A,10,20,1.5,0.004,0.005,0.009,control\nB,-35,40,3.25,,,,check\n"
     found = points(write(tmp_path, "control_points.csv", text))
@@ -64,7 +64,7 @@ def test_the_table_of_the_house(tmp_path: Path) -> None:
     np.testing.assert_allclose(np.sqrt(np.diag(found.cov_wcs_m2[1])), SIGMA)
 
 
-def test_geodetic_and_map_coordinates(tmp_path: Path) -> None:
+def test_geodetic_and_map_coordinates(tmp_path):
     lat, lon, h = FRAME.to_geodetic(LOCAL)
     rows = [f"{n};{a:.10f};{b:.10f};{c:.4f}" for n, a, b, c in zip("ABC", lat, lon, h, strict=True)]
     text = "id;lat_deg;lon_deg;h_ell_m\n" + "\n".join(rows) + "\n"
@@ -78,7 +78,7 @@ def test_geodetic_and_map_coordinates(tmp_path: Path) -> None:
         points(path, crs=None)
 
 
-def test_the_height_of_the_ellipsoid_goes_with_degrees(tmp_path: Path) -> None:
+def test_the_height_of_the_ellipsoid_goes_with_degrees(tmp_path):
     """Receivers write the height above the geoid and above the ellipsoid beside each other, 43 m apart."""
     lat, lon, h = FRAME.to_geodetic(LOCAL)
     rows = [
@@ -88,14 +88,14 @@ def test_the_height_of_the_ellipsoid_goes_with_degrees(tmp_path: Path) -> None:
     np.testing.assert_allclose(points(write(tmp_path, "e.csv", text)).points_wcs_m, LOCAL, atol=2e-4)
 
 
-def test_a_coordinate_that_stands_for_none_is_refused(tmp_path: Path) -> None:
+def test_a_coordinate_that_stands_for_none_is_refused(tmp_path):
     text = "id,east_m,north_m,up_m\nA,10,20,1.5\nB,-35,40,-9999\n"
     with pytest.raises(InputError, match=r"csv:3: up_m -9999, which stands for no value") as caught:
         points(write(tmp_path, "n.csv", text))
     assert caught.value.cure
 
 
-def test_points_of_a_gis_are_control_points(tmp_path: Path) -> None:
+def test_points_of_a_gis_are_control_points(tmp_path):
     """On the map, in degrees, with heights in the geometry or beside it; not by attributes."""
     grid = FRAME.to_map(LOCAL, CRS("EPSG:25833"))
     layer = gpd.GeoDataFrame(
@@ -116,7 +116,7 @@ def test_points_of_a_gis_are_control_points(tmp_path: Path) -> None:
         np.testing.assert_allclose(np.sqrt(found.cov_wcs_m2[0].diagonal()), 0.004)
 
 
-def test_metashape_ends_with_a_row_of_errors(tmp_path: Path) -> None:
+def test_metashape_ends_with_a_row_of_errors(tmp_path):
     grid = FRAME.to_map(LOCAL, CRS("EPSG:25833"))
     rows = [
         f"{n}\t{a:.4f}\t{b:.4f}\t{c:.4f}\t0,005".replace(".", ",")
@@ -128,7 +128,7 @@ def test_metashape_ends_with_a_row_of_errors(tmp_path: Path) -> None:
     np.testing.assert_allclose(found.points_wcs_m, LOCAL, atol=2e-4)
 
 
-def test_metashape_reference_pane(tmp_path: Path) -> None:
+def test_metashape_reference_pane(tmp_path):
     grid = FRAME.to_map(LOCAL, CRS("EPSG:25833"))
     head = "#CoordinateSystem: ...\n#Label,X/East,Y/North,Z/Altitude,Accuracy_(m),Error_(m),X_error\n"
     rows = [f'"{n}",{a:.4f},{b:.4f},{c:.4f},0.02,0,0' for n, (a, b, c) in zip("ABC", grid, strict=True)]
@@ -157,7 +157,7 @@ METASHAPE = """<?xml version="1.0" encoding="UTF-8"?>
 """
 
 
-def test_metashape_markers(tmp_path: Path) -> None:
+def test_metashape_markers(tmp_path):
     grid = FRAME.to_map(LOCAL[:2], CRS("EPSG:25833")).ravel()
     path = write(tmp_path, "markers.xml", METASHAPE.format(*(f"{v:.4f}" for v in grid)))
     found = points(path, crs=None)
@@ -171,7 +171,7 @@ def test_metashape_markers(tmp_path: Path) -> None:
     assert dropped == {"placed by the program, not by a person": 1, "in images without a pose": 1}
 
 
-def test_opendronemap_counts_from_the_centre_of_the_first_pixel(tmp_path: Path) -> None:
+def test_opendronemap_counts_from_the_centre_of_the_first_pixel(tmp_path):
     grid = FRAME.to_map(LOCAL[:2], CRS("EPSG:32633"))
     a, b = ("\t".join(f"{v:.4f}" for v in row) for row in grid)
     text = f"WGS84 UTM 33N\n{a}\t100\t200\tIMG_1.JPG\tA\n{a}\t300.5\t400\tIMG_2.JPG\tA\n{b} 5 6 IMG_2.JPG B\n"
@@ -191,7 +191,7 @@ def test_opendronemap_counts_from_the_centre_of_the_first_pixel(tmp_path: Path) 
         points(write(tmp_path, "gcp2.txt", text + f"{b}\t1\t2\tIMG_1.JPG\tA\n"), crs=None)
 
 
-def test_marks_with_and_without_sigma(tmp_path: Path) -> None:
+def test_marks_with_and_without_sigma(tmp_path):
     text = "image,point,x_px,y_px,sigma_px,score,used,reason\nIMG_1.JPG,A,5,6,0.2,0.9,True,\n"
     text += "IMG_2.JPG,A,7,8,,0.9,True,\nIMG_2.JPG,B,7,8,,0.5,False,ambiguous\n"
     marks, dropped = match(write(tmp_path, "marks.csv", text))
@@ -216,7 +216,7 @@ def test_marks_with_and_without_sigma(tmp_path: Path) -> None:
         ("EPSG:32633\n1 2 3 4 five a\n", r"marks\.csv:2: y_px 'five'; expected a number"),
     ],
 )
-def test_wrong_marks_are_told(tmp_path: Path, text: str, answer: str) -> None:
+def test_wrong_marks_are_told(tmp_path, text, answer):
     with pytest.raises(InputError, match=answer):
         match(write(tmp_path, "marks.csv", text))
 
@@ -242,12 +242,12 @@ def test_wrong_marks_are_told(tmp_path: Path, text: str, answer: str) -> None:
         ("id,east_m,north_m,up_m\nA,1,2,3\nB,4,5,\n", r"csv:3: no up_m"),
     ],
 )
-def test_wrong_control_points_are_told(tmp_path: Path, text: str, answer: str) -> None:
+def test_wrong_control_points_are_told(tmp_path, text, answer):
     with pytest.raises((InputError, GeometryError), match=answer):
         points(write(tmp_path, "points.csv", text))
 
 
-def test_files_that_are_none(tmp_path: Path) -> None:
+def test_files_that_are_none(tmp_path):
     with pytest.raises(InputError, match="file not found"):
         read_marks(tmp_path / "no.csv")
     with pytest.raises(InputError, match="no XML"):
@@ -284,23 +284,21 @@ GEODETIC = np.stack(FRAME.to_geodetic(LOCAL), axis=1)
         ("east_m,north_m,up_m", LOCAL * 1000 + 4e6, r"millimetres would fit"),
     ],
 )
-def test_coordinates_far_from_the_survey_are_told_apart(
-    tmp_path: Path, head: str, values, answer: str
-) -> None:
+def test_coordinates_far_from_the_survey_are_told_apart(tmp_path, head, values, answer):
     rows = [f"{n},{a:.8f},{b:.8f},{c:.4f}" for n, (a, b, c) in zip("ABC", np.asarray(values), strict=True)]
     path = write(tmp_path, "p.csv", f"id,{head}\n" + "\n".join(rows) + "\n")
     with pytest.raises(GeometryError, match=answer):
         points(path)
 
 
-def test_heights_above_the_geoid_get_an_offset(tmp_path: Path) -> None:
+def test_heights_above_the_geoid_get_an_offset(tmp_path):
     rows = [f"{n},{a:.4f},{b:.4f},{c - 45:.4f}" for n, (a, b, c) in zip("ABC", UTM, strict=True)]
     path = write(tmp_path, "p.csv", "id,x,y,z\n" + "\n".join(rows) + "\n")
     found = read_control_points(path, FRAME, crs="EPSG::25833", sigma_m=SIGMA, height_offset_m=45.0)
     np.testing.assert_allclose(found.points_wcs_m, LOCAL, atol=2e-4)
 
 
-def test_several_files_are_one_survey(tmp_path: Path) -> None:
+def test_several_files_are_one_survey(tmp_path):
     head = "id,east_m,north_m,up_m\n"
     a, b = write(tmp_path, "a.csv", f"{head}A,1,2,3\n"), write(tmp_path, "b.csv", f"{head}B,1,2,3\n")
     options = {"crs": None, "sigma_m": SIGMA}
@@ -310,21 +308,21 @@ def test_several_files_are_one_survey(tmp_path: Path) -> None:
         read_all_control_points([a, a], FRAME, **options)
 
 
-def test_points_whose_names_differ_in_case_only_are_refused(tmp_path: Path) -> None:
+def test_points_whose_names_differ_in_case_only_are_refused(tmp_path):
     path = write(tmp_path, "m.csv", "image,point,x_px,y_px\nIMG_1.JPG,A,5,6\n")
     alike = ControlPoints.joined([control(), replace(control(), names=("D", "b", "F"))])
     with pytest.raises(InputError, match="control points called B in another case, too"):
         matched_marks(read_marks(path), alike, IMAGES[:2], [SIZE] * 2, IMAGES, sigma_px=0.5)
 
 
-def test_a_row_with_a_cell_too_many_is_refused(tmp_path: Path) -> None:
+def test_a_row_with_a_cell_too_many_is_refused(tmp_path):
     rows = "".join(f"P{k},{k},2,3\n" for k in range(30))
     path = write(tmp_path, "p.csv", f"id,east_m,north_m,up_m\n{rows}Q,1,2,3,4\n")
     with pytest.raises(InputError, match=r"1 row of more than 4 cells, left out, the first in line 32"):
         points(path)
 
 
-def test_names_with_folders_and_in_another_case(tmp_path: Path) -> None:
+def test_names_with_folders_and_in_another_case(tmp_path):
     text = "image,point,x_px,y_px\nC:\\data\\img_1.jpg,a,5,6\n/home/x/IMG_2.JPG, B,7,8\nIMG_3,C,7,8\n"
     marks, dropped = match(write(tmp_path, "m.csv", text))
     assert marks.image.tolist() == [0, 1]

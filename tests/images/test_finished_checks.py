@@ -34,7 +34,7 @@ NO_NAMES = "eo.txt: The file names no columns: taken as image, x, y, z, omega, p
 
 
 @pytest.fixture
-def truth() -> Scene:
+def truth():
     return scene()
 
 
@@ -56,7 +56,7 @@ def refused(path: Path, truth: Scene, rng: np.random.Generator, **changes: Any) 
 # ---------------------------------------------------------------- angles
 
 
-def test_a_matrix_beside_the_angles_tells_their_unit(tmp_path: Path, truth: Scene) -> None:
+def test_a_matrix_beside_the_angles_tells_their_unit(tmp_path, truth):
     matrix = (truth.R @ FLIP).reshape(-1, 9)
     rows = np.column_stack([angles_deg(truth.R) * 10 / 9, matrix])
     path = table(tmp_path / "eo.txt", truth, angles=rows)
@@ -68,7 +68,7 @@ def test_a_matrix_beside_the_angles_tells_their_unit(tmp_path: Path, truth: Scen
     )
 
 
-def test_a_wrong_mount_is_refused(tmp_path: Path, truth: Scene, rng: np.random.Generator) -> None:
+def test_a_wrong_mount_is_refused(tmp_path, truth, rng):
     turned = Scene(truth.images, truth.C, truth.R @ exp_rotation(np.array([0.0, np.deg2rad(50.0), 0.0])))
     path = write_colmap_text(tmp_path / "m", truth.images, turned.C, turned.R)
     with pytest.raises(InputError, match=r"attitudes a median of (49|50|51)\.\d degrees away"):
@@ -78,9 +78,7 @@ def test_a_wrong_mount_is_refused(tmp_path: Path, truth: Scene, rng: np.random.G
 
 
 @pytest.mark.parametrize(("turned_deg", "told"), [(6.0, True), (0.3, False)])
-def test_attitudes_off_by_more_than_their_prediction_may_be_are_told(
-    tmp_path: Path, truth: Scene, rng: np.random.Generator, turned_deg: float, told: bool
-) -> None:
+def test_attitudes_off_by_more_than_their_prediction_may_be_are_told(tmp_path, truth, rng, turned_deg, told):
     """Another north, for example: below the limit of refusal, above chance."""
     turned = Scene(
         truth.images, truth.C, truth.R @ exp_rotation(np.array([0.0, np.deg2rad(turned_deg), 0.0]))
@@ -91,9 +89,7 @@ def test_attitudes_off_by_more_than_their_prediction_may_be_are_told(
     assert any("degrees away from the predicted ones" in note for note in notes) == told
 
 
-def test_small_errors_of_the_prediction_are_no_mistake(
-    tmp_path: Path, truth: Scene, rng: np.random.Generator
-) -> None:
+def test_small_errors_of_the_prediction_are_no_mistake(tmp_path, truth, rng):
     given = predictions(truth, rng, sigma_m=2.0, sigma_deg=4.0)
     found = import_orientations([table(tmp_path / "eo.txt", truth)], given, settings(crs="world"))
     assert_poses(found.poses, truth)
@@ -105,9 +101,7 @@ def test_small_errors_of_the_prediction_are_no_mistake(
 
 
 @pytest.mark.parametrize("known", [True, False], ids=["predicted", "blind"])
-def test_coordinates_of_another_order_are_refused(
-    tmp_path: Path, truth: Scene, rng: np.random.Generator, known: bool
-) -> None:
+def test_coordinates_of_another_order_are_refused(tmp_path, truth, rng, known):
     grid = FRAME.to_map(truth.C, UTM33)
     path = table(tmp_path / "eo.txt", truth, grid[:, [1, 0, 2]], angles_deg(grid_rotations(truth)))
     given = (
@@ -121,9 +115,7 @@ def test_coordinates_of_another_order_are_refused(
     )
 
 
-def test_heights_above_the_geoid_are_named_and_their_cure_works(
-    tmp_path: Path, truth: Scene, rng: np.random.Generator
-) -> None:
+def test_heights_above_the_geoid_are_named_and_their_cure_works(tmp_path, truth, rng):
     grid = FRAME.to_map(truth.C, UTM33) - [0.0, 0.0, 44.2]
     path = table(tmp_path / "eo.txt", truth, grid, angles_deg(grid_rotations(truth)))
     message = refused(path, truth, rng)
@@ -140,7 +132,7 @@ def test_heights_above_the_geoid_are_named_and_their_cure_works(
     assert "heights 10.0 m below" in told.facts["notes"][1]
 
 
-def test_geocentric_heights_are_raised_along_the_vertical(tmp_path: Path, truth: Scene) -> None:
+def test_geocentric_heights_are_raised_along_the_vertical(tmp_path, truth):
     lat, lon, h = FRAME.to_geodetic(truth.C)
     low = Scene(truth.images, FRAME.from_geodetic(lat, lon, h - 44.2), truth.R)
     wkt = CRS.from_epsg(4326).to_wkt("WKT1_GDAL")
@@ -149,14 +141,14 @@ def test_geocentric_heights_are_raised_along_the_vertical(tmp_path: Path, truth:
     assert_poses(found.poses, truth, atol_m=1e-8)
 
 
-def test_another_survey_is_refused(tmp_path: Path, truth: Scene, rng: np.random.Generator) -> None:
+def test_another_survey_is_refused(tmp_path, truth, rng):
     path = table(tmp_path / "eo.txt", truth, truth.C + np.array([3000.0, 0.0, 0.0]))
     message = refused(path, truth, rng, crs="world")
     assert "positions a median of 3000 m away" in message
     assert "clock" in message
 
 
-def test_a_single_far_image_is_told(tmp_path: Path, truth: Scene) -> None:
+def test_a_single_far_image_is_told(tmp_path, truth):
     C = truth.C.copy()
     C[4, 0] += 60.0
     path = table(tmp_path / "eo.txt", truth, C)
@@ -165,7 +157,7 @@ def test_a_single_far_image_is_told(tmp_path: Path, truth: Scene) -> None:
     assert truth.images[4] in note
 
 
-def test_another_datum_is_refused(tmp_path: Path, truth: Scene) -> None:
+def test_another_datum_is_refused(tmp_path, truth):
     path = table(tmp_path / "eo.txt", truth, FRAME.to_map(truth.C, UTM33))
     with pytest.raises(InputError, match="Bessel"):
         import_orientations([path], predictions(truth), settings(crs="EPSG:31469"))
@@ -183,7 +175,7 @@ def free(truth: Scene) -> Scene:
     return Scene(truth.images, (truth.C - [480.0, -190.0, 3.0]) @ R / 7.3, R.T @ truth.R)
 
 
-def test_a_free_model_is_refused_with_what_a_similarity_leaves(tmp_path: Path, truth: Scene) -> None:
+def test_a_free_model_is_refused_with_what_a_similarity_leaves(tmp_path, truth):
     model = free(truth)
     given = predictions(truth)
     path = write_colmap_text(tmp_path / "m", model.images, model.C, model.R)
@@ -200,9 +192,7 @@ def test_a_free_model_is_refused_with_what_a_similarity_leaves(tmp_path: Path, t
     assert any("errs as a whole as the prediction does" in note for note in aligned.facts["notes"])
 
 
-def test_an_aligned_model_errs_as_the_prediction_does(
-    tmp_path: Path, truth: Scene, rng: np.random.Generator
-) -> None:
+def test_an_aligned_model_errs_as_the_prediction_does(tmp_path, truth, rng):
     model = free(truth)
     path = write_colmap_text(tmp_path / "m", model.images, model.C, model.R)
     chi = []
@@ -217,9 +207,7 @@ def test_an_aligned_model_errs_as_the_prediction_does(
     assert low < np.mean(chi) < high
 
 
-def test_a_free_model_of_another_track_is_refused_even_so(
-    tmp_path: Path, truth: Scene, rng: np.random.Generator
-) -> None:
+def test_a_free_model_of_another_track_is_refused_even_so(tmp_path, truth, rng):
     model = free(truth)
     shuffled = rng.permutation(12)
     path = write_colmap_text(tmp_path / "m", model.images, model.C[shuffled], model.R[shuffled])
@@ -227,7 +215,7 @@ def test_a_free_model_of_another_track_is_refused_even_so(
         import_orientations([path], predictions(truth), settings(align="predictions"))
 
 
-def test_local_coordinates_without_a_name_are_free(tmp_path: Path, truth: Scene) -> None:
+def test_local_coordinates_without_a_name_are_free(tmp_path, truth):
     model = free(truth)
     for chunk in (True, False):
         path = tmp_path / "c.xml"
@@ -238,7 +226,7 @@ def test_local_coordinates_without_a_name_are_free(tmp_path: Path, truth: Scene)
         assert_poses(found.poses, truth, atol_m=1e-8)
 
 
-def test_a_straight_track_is_aligned_by_its_attitudes(rng: np.random.Generator) -> None:
+def test_a_straight_track_is_aligned_by_its_attitudes(rng):
     track = scene(8)
     C = np.array([10.0, 0.0, 0.0]) * np.arange(8)[:, None]
     R = exp_rotation(np.array([0.2, 0.5, -0.9]))
@@ -252,14 +240,14 @@ def test_a_straight_track_is_aligned_by_its_attitudes(rng: np.random.Generator) 
     assert np.abs(near.centre_wcs_m - C).max() < 0.3
 
 
-def test_images_at_one_place_give_no_scale(tmp_path: Path, truth: Scene) -> None:
+def test_images_at_one_place_give_no_scale(tmp_path, truth):
     still = Scene(truth.images, np.tile(truth.C[0], (12, 1)), truth.R)
     path = write_colmap_text(tmp_path / "m", truth.images, truth.C, truth.R)
     with pytest.raises(InputError, match="cannot be put onto the prediction"):
         import_orientations([path], predictions(still), settings(align="predictions"))
 
 
-def test_the_mean_rotation_is_not_that_of_outliers(rng: np.random.Generator) -> None:
+def test_the_mean_rotation_is_not_that_of_outliers(rng):
     R = exp_rotation(np.array([0.3, -0.2, 1.0]))
     turns = exp_rotation(0.001 * rng.normal(size=(20, 3))) @ R
     turns[:4] = exp_rotation(np.array([0.0, 2.0, 0.0])) @ R

@@ -26,7 +26,7 @@ from thalweg.images.model import matched
 
 
 @pytest.fixture
-def truth() -> Scene:
+def truth():
     return scene()
 
 
@@ -39,7 +39,7 @@ def table(path: Path, truth: Scene, xyz: Any = None, angles: Any = None, head: s
 # ---------------------------------------------------------------- names
 
 
-def test_names_are_matched_from_strict_to_loose() -> None:
+def test_names_are_matched_from_strict_to_loose():
     images = ["a/IMG_1.JPG", "b/IMG_1.JPG", "IMG_2.JPG", "img_3.png"]
     names = ["b/IMG_1.JPG", "C:\\photos\\img_2.jpg", "IMG_3", "IMG_1", "other"]
     assert matched(names, images, "file").tolist() == [1, 2, 3, -1, -1]
@@ -47,7 +47,7 @@ def test_names_are_matched_from_strict_to_loose() -> None:
         matched(["IMG_2", "img_2.JPG"], images, "file")
 
 
-def test_images_that_the_file_lacks_have_a_reason(tmp_path: Path, truth: Scene) -> None:
+def test_images_that_the_file_lacks_have_a_reason(tmp_path, truth):
     part = Scene(truth.images[:9], truth.C[:9], truth.R[:9])
     path = table(tmp_path / "eo.txt", part)
     path.write_text(path.read_text() + "stranger.jpg\t0\t0\t0\t0\t0\t0\n")
@@ -57,13 +57,13 @@ def test_images_that_the_file_lacks_have_a_reason(tmp_path: Path, truth: Scene) 
     assert found.facts["oriented"] == 9
 
 
-def test_a_file_of_other_images_is_refused(tmp_path: Path, truth: Scene) -> None:
+def test_a_file_of_other_images_is_refused(tmp_path, truth):
     other = Scene(tuple(f"DSC{k}.jpg" for k in range(12)), truth.C, truth.R)
     with pytest.raises(InputError, match=r"0 of 12 images .* not so DSC0\.jpg, DSC1\.jpg"):
         import_orientations([table(tmp_path / "eo.txt", other)], predictions(truth), settings(crs="world"))
 
 
-def test_without_predictions_nothing_is_checked_and_that_is_said(tmp_path: Path, truth: Scene) -> None:
+def test_without_predictions_nothing_is_checked_and_that_is_said(tmp_path, truth):
     given = predictions(truth)
     values = {name: getattr(given, name) for name in given.__dataclass_fields__}
     blind = type(given)(**{**values, "oriented": np.zeros(12, np.bool_)})
@@ -92,7 +92,7 @@ def test_without_predictions_nothing_is_checked_and_that_is_said(tmp_path: Path,
         (",1,2,3,4,5,6\n", "eo.txt:1: no image"),
     ],
 )
-def test_damaged_tables(tmp_path: Path, truth: Scene, text: str, words: str) -> None:
+def test_damaged_tables(tmp_path, truth, text, words):
     path = tmp_path / "eo.txt"
     path.write_text(text)
     with pytest.raises(InputError) as found:
@@ -101,7 +101,7 @@ def test_damaged_tables(tmp_path: Path, truth: Scene, text: str, words: str) -> 
     assert "eo.txt" in str(found.value)
 
 
-def test_a_table_without_a_crs_is_refused(tmp_path: Path, truth: Scene) -> None:
+def test_a_table_without_a_crs_is_refused(tmp_path, truth):
     with pytest.raises(InputError, match="coordinates without a CRS"):
         import_orientations([table(tmp_path / "eo.txt", truth)], predictions(truth), settings())
 
@@ -116,7 +116,7 @@ def test_a_table_without_a_crs_is_refused(tmp_path: Path, truth: Scene) -> None:
         ("<f>582.0", "<f>wide", "'wide' of f of Sensor 'boat'"),
     ],
 )
-def test_damaged_xml(tmp_path: Path, truth: Scene, old: str, new: str, words: str) -> None:
+def test_damaged_xml(tmp_path, truth, old, new, words):
     path = write_metashape(tmp_path / "c.xml", truth.images, truth.C, truth.R, reference=LOCAL)
     text = path.read_text()
     assert old in text
@@ -135,7 +135,7 @@ def test_damaged_xml(tmp_path: Path, truth: Scene, old: str, new: str, words: st
         (" -2e-4", "", "7 parameters"),
     ],
 )
-def test_damaged_colmap_text(tmp_path: Path, truth: Scene, old: str, new: str, words: str) -> None:
+def test_damaged_colmap_text(tmp_path, truth, old, new, words):
     folder = write_colmap_text(tmp_path / "m", truth.images, truth.C, truth.R, points=False)
     for path in (folder / "images.txt", folder / "cameras.txt"):
         text = path.read_text()
@@ -145,9 +145,7 @@ def test_damaged_colmap_text(tmp_path: Path, truth: Scene, old: str, new: str, w
     assert words in str(found.value)
 
 
-def test_damaged_binary_models_give_our_errors_only(
-    tmp_path: Path, truth: Scene, rng: np.random.Generator
-) -> None:
+def test_damaged_binary_models_give_our_errors_only(tmp_path, truth, rng):
     pycolmap = pytest.importorskip("pycolmap")
     folder = write_colmap_text(tmp_path / "text", truth.images, truth.C, truth.R, points=False)
     binary = tmp_path / "binary"
@@ -171,7 +169,7 @@ def test_damaged_binary_models_give_our_errors_only(
     assert 0 < clean < 150
 
 
-def test_what_is_not_there_or_no_model(tmp_path: Path, truth: Scene) -> None:
+def test_what_is_not_there_or_no_model(tmp_path, truth):
     for path, words in ((tmp_path / "none.txt", "file not found"), (tmp_path, "without images")):
         with pytest.raises(InputError, match=words):
             import_orientations([path], predictions(truth), settings())

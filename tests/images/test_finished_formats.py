@@ -12,7 +12,6 @@ from tests.images.finished_scene import (
     FLIP,
     FRAME,
     UTM33,
-    Scene,
     angles_deg,
     angles_text,
     assert_poses,
@@ -31,14 +30,14 @@ from thalweg.images.model import ImagePoses
 
 
 @pytest.fixture
-def truth() -> Scene:
+def truth():
     return scene()
 
 
 # ---------------------------------------------------------------- angles
 
 
-def test_the_published_example_of_pix4d() -> None:
+def test_the_published_example_of_pix4d():
     """Angles and matrix of one image in Pix4D's two files, as a user printed them in its forum (topic 19555).
 
     ``calibrated_camera_parameters.txt`` holds the world-to-camera matrix of the axes right, down, forward.
@@ -59,7 +58,7 @@ def test_the_published_example_of_pix4d() -> None:
     np.testing.assert_allclose(ccs_rotations(angles)[0].T, R_ccs_world, atol=5e-3)
 
 
-def test_a_camera_that_looks_down_with_its_top_to_the_north_has_no_angles() -> None:
+def test_a_camera_that_looks_down_with_its_top_to_the_north_has_no_angles():
     angles = Angles(
         values=np.zeros((1, 3)),
         unit="deg",
@@ -75,7 +74,7 @@ def test_a_camera_that_looks_down_with_its_top_to_the_north_has_no_angles() -> N
 
 @pytest.mark.parametrize("direction", ["image_to_world", "world_to_image"])
 @pytest.mark.parametrize("rotation", sorted(ORDERS))
-def test_sigmas_of_angles_become_those_of_the_rotation_vector(rotation: str, direction: str) -> None:
+def test_sigmas_of_angles_become_those_of_the_rotation_vector(rotation, direction):
     values = np.array([[97.0, -33.0, 12.0], [-10.0, 5.0, 170.0]])
     sigma = np.array([[0.03, 0.05, 0.02], [0.01, 0.02, 0.04]])
     angles = Angles(values=values, unit="gon", rotation=rotation, direction=direction, axes="right_up_back")
@@ -101,7 +100,7 @@ def test_sigmas_of_angles_become_those_of_the_rotation_vector(rotation: str, dir
     np.testing.assert_allclose(angle_covariance(angles, sigma), expected, rtol=1e-7, atol=1e-16)
 
 
-def test_all_image_axes_are_right_handed() -> None:
+def test_all_image_axes_are_right_handed():
     for rows in AXES.values():
         R = np.array(rows, float)
         np.testing.assert_array_equal(R @ R.T, np.eye(3))
@@ -111,7 +110,7 @@ def test_all_image_axes_are_right_handed() -> None:
 # ---------------------------------------------------------------- tables
 
 
-def test_metashape_omega_phi_kappa_in_a_map_grid(tmp_path: Path, truth: Scene) -> None:
+def test_metashape_omega_phi_kappa_in_a_map_grid(tmp_path, truth):
     """Convergence -1.4 degrees and scale 0.9997 between the grid and wcs."""
     R_grid = grid_rotations(truth)
     assert np.rad2deg(np.linalg.norm(rotation_vector(R_grid[0] @ truth.R[0].T))) > 1.2
@@ -129,7 +128,7 @@ def test_metashape_omega_phi_kappa_in_a_map_grid(tmp_path: Path, truth: Scene) -
     np.testing.assert_array_equal(found.poses.t_gps_s, 1e9 + np.arange(12))
 
 
-def test_true_north_is_an_option(tmp_path: Path, truth: Scene) -> None:
+def test_true_north_is_an_option(tmp_path, truth):
     lat, lon, _ = FRAME.to_geodetic(truth.C)
     R_enu = np.swapaxes(FRAME.R_wcs_enu(lat, lon), 1, 2) @ truth.R
     path = tmp_path / "eo.csv"
@@ -139,7 +138,7 @@ def test_true_north_is_an_option(tmp_path: Path, truth: Scene) -> None:
     assert_poses(found.poses, truth, atol_m=1e-7)
 
 
-def test_pix4d_in_geographic_coordinates(tmp_path: Path, truth: Scene) -> None:
+def test_pix4d_in_geographic_coordinates(tmp_path, truth):
     lat, lon, h = FRAME.to_geodetic(truth.C)
     R_enu = np.swapaxes(FRAME.R_wcs_enu(lat, lon), 1, 2) @ truth.R
     path = tmp_path / "calibrated_external_camera_parameters.txt"
@@ -152,7 +151,7 @@ def test_pix4d_in_geographic_coordinates(tmp_path: Path, truth: Scene) -> None:
 
 
 @pytest.mark.parametrize("unit", ["deg", "gon", "rad"])
-def test_units_by_the_header_and_by_the_setting(tmp_path: Path, truth: Scene, unit: str) -> None:
+def test_units_by_the_header_and_by_the_setting(tmp_path, truth, unit):
     factor = {"deg": 1.0, "gon": 10 / 9, "rad": np.pi / 180}[unit]
     path = tmp_path / "eo.txt"
     rows = angles_deg(truth.R) * factor
@@ -166,7 +165,7 @@ def test_units_by_the_header_and_by_the_setting(tmp_path: Path, truth: Scene, un
 
 @pytest.mark.parametrize("axes", sorted(AXES))
 @pytest.mark.parametrize("direction", ["image_to_world", "world_to_image"])
-def test_other_axes_and_directions(tmp_path: Path, truth: Scene, axes: str, direction: str) -> None:
+def test_other_axes_and_directions(tmp_path, truth, axes, direction):
     R_ccs_image = np.array(AXES[axes], float).T
     R = truth.R @ R_ccs_image
     R = np.swapaxes(R, 1, 2) if direction == "world_to_image" else R
@@ -179,7 +178,7 @@ def test_other_axes_and_directions(tmp_path: Path, truth: Scene, axes: str, dire
 
 
 @pytest.mark.parametrize("rotation", ["phi_omega_kappa", "kappa_phi_omega"])
-def test_other_orders_of_the_rotations(tmp_path: Path, truth: Scene, rotation: str) -> None:
+def test_other_orders_of_the_rotations(tmp_path, truth, rotation):
     order = "".join({"omega": "X", "phi": "Y", "kappa": "Z"}[name] for name in rotation.split("_"))
     turns = Rotation.from_matrix(truth.R @ FLIP).as_euler(order, degrees=True)
     path = tmp_path / "eo.txt"
@@ -188,7 +187,7 @@ def test_other_orders_of_the_rotations(tmp_path: Path, truth: Scene, rotation: s
     assert_poses(found.poses, truth)
 
 
-def test_sigmas_of_a_table_are_taken_over(tmp_path: Path, truth: Scene) -> None:
+def test_sigmas_of_a_table_are_taken_over(tmp_path, truth):
     angles = angles_deg(truth.R)
     rows = np.column_stack([angles, np.tile([0.01, 0.02, 0.03, 0.004, 0.005, 0.006], (12, 1))])
     names = "sigma_x,sigma_y,sigma_z,sigma_omega,sigma_phi,sigma_kappa"
@@ -208,7 +207,7 @@ def test_sigmas_of_a_table_are_taken_over(tmp_path: Path, truth: Scene) -> None:
     assert not found.poses.cov_next[-1].any()
 
 
-def test_sigmas_of_the_settings_where_the_file_states_none(tmp_path: Path, truth: Scene) -> None:
+def test_sigmas_of_the_settings_where_the_file_states_none(tmp_path, truth):
     path = tmp_path / "eo.csv"
     path.write_text(angles_text(truth.images, truth.C, angles_deg(truth.R)))
     chosen = settings(crs="world", sigma_position_m=0.03, sigma_angle_deg=0.1, neighbour_correlation=0.8)
@@ -219,7 +218,7 @@ def test_sigmas_of_the_settings_where_the_file_states_none(tmp_path: Path, truth
     assert found.facts["sigmas_from_settings"] == {"positions": 12, "rotations": 12}
 
 
-def test_a_table_in_feet_with_decimal_commas_and_windows_letters(tmp_path: Path, truth: Scene) -> None:
+def test_a_table_in_feet_with_decimal_commas_and_windows_letters(tmp_path, truth):
     """The forms that every other table may have; the angles state gon, the coordinates feet."""
     rows = zip(truth.images, truth.C / 0.3048, angles_deg(truth.R) * 10 / 9, strict=True)
     text = "Image;X_ft;Y_ft;Z_ft;Omega [gon];Phi [gon];Kappa [gon];Gerät\r\n"
@@ -233,7 +232,7 @@ def test_a_table_in_feet_with_decimal_commas_and_windows_letters(tmp_path: Path,
     assert any("Windows-1252" in note for note in found.facts["notes"])
 
 
-def test_estimated_places_of_metashapes_reference_pane_are_taken(tmp_path: Path, truth: Scene) -> None:
+def test_estimated_places_of_metashapes_reference_pane_are_taken(tmp_path, truth):
     """Its stated longitudes and angles are 1e-3 degrees off, the estimated ones are right."""
     lat, lon, h = FRAME.to_geodetic(truth.C)
     angles = angles_deg(np.swapaxes(FRAME.R_wcs_enu(lat, lon), 1, 2) @ truth.R)
@@ -251,7 +250,7 @@ def test_estimated_places_of_metashapes_reference_pane_are_taken(tmp_path: Path,
 # ---------------------------------------------------------------- COLMAP
 
 
-def test_colmap_text_and_binary_agree_with_pycolmap(tmp_path: Path, truth: Scene) -> None:
+def test_colmap_text_and_binary_agree_with_pycolmap(tmp_path, truth):
     pycolmap = pytest.importorskip("pycolmap")
     folder = write_colmap_text(tmp_path / "text", truth.images, truth.C, truth.R, points=False)
     model = pycolmap.Reconstruction(str(folder))
@@ -274,7 +273,7 @@ def test_colmap_text_and_binary_agree_with_pycolmap(tmp_path: Path, truth: Scene
         assert int(getattr(pycolmap.CameraModelId, name)) == number
 
 
-def test_colmap_counts_tie_points_and_takes_any_of_its_files(tmp_path: Path, truth: Scene) -> None:
+def test_colmap_counts_tie_points_and_takes_any_of_its_files(tmp_path, truth):
     folder = write_colmap_text(tmp_path / "model", truth.images, truth.C, truth.R)
     files = [folder / "images.txt", folder / "cameras.txt", folder / "points3D.txt"]
     found = import_orientations(files, predictions(truth), settings(crs="world"))
@@ -285,7 +284,7 @@ def test_colmap_counts_tie_points_and_takes_any_of_its_files(tmp_path: Path, tru
     assert len(found.facts["files"]) == 1
 
 
-def test_colmap_binary_with_points(tmp_path: Path, truth: Scene) -> None:
+def test_colmap_binary_with_points(tmp_path, truth):
     data = struct.pack("<Q", 1)
     data += struct.pack("<i7di", 3, 1.0, 0.0, 0.0, 0.0, 1.0, 2.0, 3.0, 7) + b"a b.jpg\0"
     data += struct.pack("<Q", 2) + struct.pack("<ddQ", 1.0, 2.0, 5) + struct.pack("<ddQ", 1.0, 2.0, 2**64 - 1)
@@ -306,7 +305,7 @@ def test_colmap_binary_with_points(tmp_path: Path, truth: Scene) -> None:
 # ---------------------------------------------------------------- own table
 
 
-def test_own_poses_of_a_campaign_with_another_origin(tmp_path: Path, truth: Scene) -> None:
+def test_own_poses_of_a_campaign_with_another_origin(tmp_path, truth):
     other = LocalFrame(lat_deg=51.06, lon_deg=13.23, h_ell_m=95.0)
     turn = other.R_ecef_enu.T @ FRAME.R_ecef_enu
     own = predictions(truth)
@@ -330,7 +329,7 @@ def test_own_poses_of_a_campaign_with_another_origin(tmp_path: Path, truth: Scen
     np.testing.assert_allclose(found.poses.cov_next[:-1], following[:-1], rtol=1e-9, atol=1e-15)
 
 
-def test_two_files_are_joined(tmp_path: Path, truth: Scene) -> None:
+def test_two_files_are_joined(tmp_path, truth):
     for k, part in enumerate((slice(0, 7), slice(7, 12))):
         path = tmp_path / f"{k}.txt"
         path.write_text(angles_text(truth.images[part], truth.C[part], angles_deg(truth.R[part])))

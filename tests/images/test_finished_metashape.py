@@ -10,7 +10,6 @@ from tests.images.finished_scene import (
     FRAME,
     LOCAL,
     UTM33,
-    Scene,
     assert_poses,
     geocentric,
     grid_rotations,
@@ -25,7 +24,7 @@ from thalweg.images.model import ImagePoses
 
 
 @pytest.fixture
-def truth() -> Scene:
+def truth():
     return scene()
 
 
@@ -34,9 +33,7 @@ def truth() -> Scene:
 
 @pytest.mark.parametrize("component", [False, True], ids=["chunk", "component"])
 @pytest.mark.parametrize("epsg", [4326, 25833, 4258])
-def test_metashape_is_geocentric_whatever_its_crs(
-    tmp_path: Path, truth: Scene, epsg: int, component: bool
-) -> None:
+def test_metashape_is_geocentric_whatever_its_crs(tmp_path, truth, epsg, component):
     wkt = CRS.from_epsg(epsg).to_wkt("WKT1_GDAL")
     path = write_metashape(
         tmp_path / "c.xml", truth.images, *geocentric(truth), reference=wkt, component=component
@@ -46,7 +43,7 @@ def test_metashape_is_geocentric_whatever_its_crs(
     assert_poses(found.poses, truth, atol_m=1e-8)
 
 
-def test_metashape_in_local_coordinates_of_the_world_frame_or_of_a_grid(tmp_path: Path, truth: Scene) -> None:
+def test_metashape_in_local_coordinates_of_the_world_frame_or_of_a_grid(tmp_path, truth):
     path = write_metashape(tmp_path / "c.xml", truth.images, truth.C, truth.R, reference=LOCAL)
     assert_poses(import_orientations([path], predictions(truth), settings(crs="world")).poses, truth)
     C = FRAME.to_map(truth.C, UTM33)
@@ -55,7 +52,7 @@ def test_metashape_in_local_coordinates_of_the_world_frame_or_of_a_grid(tmp_path
     assert_poses(found.poses, truth, atol_m=1e-7, atol=3e-8)
 
 
-def test_metashape_covariances(tmp_path: Path, truth: Scene) -> None:
+def test_metashape_covariances(tmp_path, truth):
     """Position in the units and axes of the chunk, rotation about the axes of the camera."""
     A = np.array([[2.0, 0.3, 0.1], [0.3, 1.0, -0.2], [0.1, -0.2, 3.0]])
     location, rotation = 1e-6 * A, 1e-8 * A[::-1, ::-1]
@@ -70,7 +67,7 @@ def test_metashape_covariances(tmp_path: Path, truth: Scene) -> None:
         assert not C[:3, 3:].any()
 
 
-def test_cameras_that_metashape_left_out(tmp_path: Path, truth: Scene) -> None:
+def test_cameras_that_metashape_left_out(tmp_path, truth):
     names = [Path(name).stem for name in truth.images]
     extra = (
         '<camera id="90" sensor_id="0" label="IMG_0010" enabled="false">'
@@ -105,9 +102,7 @@ METASHAPE = {"f": 582.0, "cx": 1.5, "cy": -2.0, "b1": 0.5, "b2": 0.0, "k1": -0.0
         ({"b2": 9.0}, "frame", None, "too much, no interior orientation"),
     ],
 )
-def test_terms_that_our_models_do_not_have_are_told_or_refused(
-    tmp_path: Path, truth: Scene, changes: dict[str, float], kind: str, model: str | None, told: str
-) -> None:
+def test_terms_that_our_models_do_not_have_are_told_or_refused(tmp_path, truth, changes, kind, model, told):
     terms = METASHAPE | changes
     path = write_metashape(tmp_path / "c.xml", truth.images, truth.C, truth.R, reference=LOCAL, terms=terms)
     path.write_text(path.read_text().replace('type="frame" class', f'type="{kind}" class'))
@@ -121,7 +116,7 @@ def test_terms_that_our_models_do_not_have_are_told_or_refused(
         assert found.camera.parameters.tolist() == [ours[name] for name in found.camera.parameter_names]
 
 
-def test_covariance_of_the_interior_orientation(tmp_path: Path, truth: Scene) -> None:
+def test_covariance_of_the_interior_orientation(tmp_path, truth):
     C = np.diag([0.04, 0.01, 0.02, 1e-8]) + 1e-10
     coefficients = " ".join(map(repr, C.ravel().tolist()))
     calibration = f"<covariance><params>f cx cy p1</params><coeffs>{coefficients}</coeffs></covariance>"

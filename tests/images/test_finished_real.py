@@ -3,7 +3,6 @@
 import importlib.util
 import json
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -26,7 +25,7 @@ from thalweg.images.model import ImagePoses
 
 
 @pytest.fixture
-def truth() -> Scene:
+def truth():
     return scene()
 
 
@@ -34,7 +33,7 @@ def truth() -> Scene:
 
 
 @pytest.mark.real
-def test_orientations_of_an_aerial_block_by_its_control_points(tmp_path: Path, data_dir: Path) -> None:
+def test_orientations_of_an_aerial_block_by_its_control_points(tmp_path, data_dir):
     """DBAT's adjusted poses of five aerial images put surveyed points where they were marked."""
     script = data_dir / "dbat_sxb/script/sxb"
     if not script.is_dir():
@@ -78,7 +77,7 @@ def test_orientations_of_an_aerial_block_by_its_control_points(tmp_path: Path, d
 
 
 @pytest.mark.parametrize("kind", ["colmap", "table", "table and calibration"])
-def test_script(tmp_path: Path, truth: Scene, repository: Path, kind: str) -> None:
+def test_script(tmp_path, truth, repository, kind):
     spec = importlib.util.spec_from_file_location(
         "import_orientations", repository / "workflow/scripts/import_orientations.py"
     )

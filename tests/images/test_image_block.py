@@ -1,7 +1,6 @@
 """The block of images as a file and in other frames."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,12 +11,12 @@ from thalweg.images.model import ImageBlock
 
 
 @pytest.fixture
-def block(rng: np.random.Generator) -> ImageBlock:
+def block(rng):
     found: ImageBlock = block_scene.scene(rng, images=6, points=60, start_off=0.0)[0].block
     return found
 
 
-def test_a_block_comes_back_from_its_file(block: ImageBlock, tmp_path: Path) -> None:
+def test_a_block_comes_back_from_its_file(block, tmp_path):
     cov = np.diag(np.arange(9.0))
     camera = block.cameras[0].with_parameters(block.cameras[0].parameters, cov)
     block = replace(block, cameras=(camera,))
@@ -30,7 +29,7 @@ def test_a_block_comes_back_from_its_file(block: ImageBlock, tmp_path: Path) -> 
         np.testing.assert_array_equal(getattr(again, name), getattr(block, name))
 
 
-def test_residuals_are_the_noise_and_do_not_depend_on_the_frame(block: ImageBlock) -> None:
+def test_residuals_are_the_noise_and_do_not_depend_on_the_frame(block):
     r = block.residuals_px()
     assert np.sqrt(np.square(r).mean()) == pytest.approx(0.2, rel=0.15)
     moved = block.transformed(exp_rotation([0.2, -1.0, 3.0]), np.array([4e5, 5.6e6, 100.0]), 3.7)
@@ -40,7 +39,7 @@ def test_residuals_are_the_noise_and_do_not_depend_on_the_frame(block: ImageBloc
     assert np.ptp(back.centre_block_m - block.centre_block_m, axis=0).max() < 1e-8
 
 
-def test_points_behind_a_camera_have_no_residual(block: ImageBlock) -> None:
+def test_points_behind_a_camera_have_no_residual(block):
     points = block.points_block_m.copy()
     points[block.mark_point[0]] = block.centre_block_m[block.mark_image[0]] - [0, 5, 0]
     r = replace(block, points_block_m=points).residuals_px()
@@ -55,12 +54,12 @@ def test_points_behind_a_camera_have_no_residual(block: ImageBlock) -> None:
         ({"camera": np.zeros(2, np.int64)}, r"camera\.shape=\(2,\)"),
     ],
 )
-def test_wrong_shapes_are_refused(block: ImageBlock, change: dict, answer: str) -> None:
+def test_wrong_shapes_are_refused(block, change, answer):
     with pytest.raises(GeometryError, match=answer):
         replace(block, **change)
 
 
-def test_marks_of_what_does_not_exist_are_refused(block: ImageBlock) -> None:
+def test_marks_of_what_does_not_exist_are_refused(block):
     for name, n in (("mark_image", 6), ("mark_point", len(block.points_block_m))):
         for value in (n, -1):
             wrong = getattr(block, name).copy()
@@ -69,7 +68,7 @@ def test_marks_of_what_does_not_exist_are_refused(block: ImageBlock) -> None:
                 replace(block, **{name: wrong})
 
 
-def test_files_that_are_no_block(tmp_path: Path) -> None:
+def test_files_that_are_no_block(tmp_path):
     with pytest.raises(InputError, match="file not found"):
         ImageBlock.read(tmp_path / "no.npz")
     (tmp_path / "text.npz").write_text("no block")

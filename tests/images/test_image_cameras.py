@@ -45,13 +45,13 @@ def grouped(folder: Path, by: str, folders: tuple[str, ...] = ()) -> dict[str, l
 
 
 @pytest.fixture
-def two_folders(tmp_path: Path) -> Path:
+def two_folders(tmp_path):
     for name in ("left/1.jpg", "left/2.jpg", "right/1.jpg"):
         photograph(tmp_path / name, make="A", model="B", focal_mm=24.0)
     return tmp_path
 
 
-def test_folders_tell_cameras_apart(two_folders: Path) -> None:
+def test_folders_tell_cameras_apart(two_folders):
     apart = {"left": ["left/1.jpg", "left/2.jpg"], "right": ["right/1.jpg"]}
     assert grouped(two_folders, "auto") == grouped(two_folders, "folder") == apart
     whole = {"camera": ["left/1.jpg", "left/2.jpg", "right/1.jpg"]}
@@ -64,7 +64,7 @@ def test_folders_tell_cameras_apart(two_folders: Path) -> None:
     assert in_folders(["left/1.jpg", "leftover/1.jpg", "1.jpg"], ["left"]).tolist() == [True, False, False]
 
 
-def test_folders_below_that_of_an_interior_belong_to_it(tmp_path: Path) -> None:
+def test_folders_below_that_of_an_interior_belong_to_it(tmp_path):
     for name in ("left/100/1.jpg", "left/101/2.jpg", "right/1.jpg"):
         photograph(tmp_path / name)
     assert len(grouped(tmp_path, "auto")) == 3
@@ -78,7 +78,7 @@ def test_folders_below_that_of_an_interior_belong_to_it(tmp_path: Path) -> None:
         grouped(tmp_path, "colour")
 
 
-def test_one_serial_number_in_two_folders_is_one_camera(tmp_path: Path) -> None:
+def test_one_serial_number_in_two_folders_is_one_camera(tmp_path):
     """A card holds 100CANON and 101CANON."""
     for name in ("100/1.jpg", "101/2.jpg"):
         photograph(tmp_path / name, make="A", model="B", serial="77", focal_mm=24.0)
@@ -91,7 +91,7 @@ def test_one_serial_number_in_two_folders_is_one_camera(tmp_path: Path) -> None:
     [{"model": "C"}, {"make": "Z"}, {"serial": "78"}, {"focal_mm": 35.0}],
     ids=lambda o: next(iter(o)),
 )
-def test_exif_tells_cameras_of_one_folder_apart(tmp_path: Path, other: dict[str, Any]) -> None:
+def test_exif_tells_cameras_of_one_folder_apart(tmp_path, other):
     usual = {"make": "A", "model": "B", "serial": "77", "focal_mm": 24.0}
     for k in (1, 2, 4):
         photograph(tmp_path / f"{k}.jpg", **usual)
@@ -111,7 +111,7 @@ def assigned(folder: Path, given: Interiors, by: str = "auto", **options: str) -
     return assign_cameras(pictures, images, groups, given, **options)
 
 
-def test_each_camera_begins_with_its_own_interior_orientation(two_folders: Path) -> None:
+def test_each_camera_begins_with_its_own_interior_orientation(two_folders):
     found = assigned(two_folders, Interiors(cameras=(PERSPECTIVE,), of_folder={"right": LONG}))
     assert found.camera.tolist() == [0, 0, 1]
     assert [s.camera.parameters[0] for s in found.starts] == [270.0, 432.0]
@@ -128,7 +128,7 @@ def test_each_camera_begins_with_its_own_interior_orientation(two_folders: Path)
         assigned(two_folders, Interiors(of_folder={"right": LONG}), interior="fixed")
 
 
-def test_an_interior_orientation_is_scaled_to_the_pictures_of_its_folder(tmp_path: Path) -> None:
+def test_an_interior_orientation_is_scaled_to_the_pictures_of_its_folder(tmp_path):
     photograph(tmp_path / "left" / "1.jpg", (640, 480))
     photograph(tmp_path / "left" / "2.jpg", (640, 400))
     photograph(tmp_path / "right" / "1.jpg")
@@ -140,7 +140,7 @@ def test_an_interior_orientation_is_scaled_to_the_pictures_of_its_folder(tmp_pat
     assert "640 x 400 pixels, the camera has 320 x 240" in found.pictures[1].problem
 
 
-def test_another_zoom_is_estimated_and_another_lens_alone_refused(tmp_path: Path) -> None:
+def test_another_zoom_is_estimated_and_another_lens_alone_refused(tmp_path):
     # COLMAP takes the diagonal of the film: 29.2 mm and 46.7 mm are 270 px and 432 px of 400 px
     for k, focal in enumerate((29, 29, 47)):
         photograph(tmp_path / f"{k}.jpg", focal_35mm=focal, focal_mm=float(focal))
@@ -179,7 +179,7 @@ def block_of(images: list[str], camera: list[int], cameras: tuple[Camera, ...]) 
     )
 
 
-def test_each_camera_of_a_block_has_its_calibration() -> None:
+def test_each_camera_of_a_block_has_its_calibration():
     left, right = replace(PERSPECTIVE, name="left"), replace(LONG, name="right")
     block = block_of(["left/1.jpg", "right/1.jpg", "right/2.jpg"], [0, 1, 1], (left, right))
     assert interiors_of([block_of(["1.jpg"], [0], (LONG,))], PERSPECTIVE, {}) is PERSPECTIVE
@@ -195,7 +195,7 @@ def test_each_camera_of_a_block_has_its_calibration() -> None:
     ]
 
 
-def test_two_cameras_in_one_adjustment() -> None:
+def test_two_cameras_in_one_adjustment():
     """Every second image with 1.4 times the focal length: distances from the principal point grow by it."""
     problem, truth = scene(np.random.default_rng(3), images=24, points=500)
     block, of = problem.block, np.arange(24) % 2
@@ -224,7 +224,7 @@ def test_two_cameras_in_one_adjustment() -> None:
         assert abs(camera.parameters[0] - factor * truth.camera.parameters[0]) < 4 * sigma
 
 
-def test_one_camera_is_weighted_and_the_other_estimated() -> None:
+def test_one_camera_is_weighted_and_the_other_estimated():
     """The given one keeps its sigma of 0.5 px or less, in the world that control points make."""
     problem, truth = scene(np.random.default_rng(4), images=24, points=500)
     cov = np.diag([0.25, 0.25, 0.25, 0.25, 1e-6, 1e-6, 1e-8, 1e-8, 0.0])
@@ -243,7 +243,7 @@ def test_one_camera_is_weighted_and_the_other_estimated() -> None:
         )
 
 
-def test_masks_are_learned_for_each_camera(tmp_path: Path) -> None:
+def test_masks_are_learned_for_each_camera(tmp_path):
     """One picture of each camera has a supplied mask; masks stand in folders like their images."""
     rng = np.random.default_rng(5)
     for name in ("left/1.png", "left/2.png", "right/1.png"):

@@ -1,7 +1,5 @@
 """The table of image poses."""
 
-from pathlib import Path
-
 import numpy as np
 
 from thalweg.core import LocalFrame, exp_rotation
@@ -36,7 +34,7 @@ def poses_of(rng: np.random.Generator, n: int = 5) -> ImagePoses:
     )
 
 
-def test_poses_come_back_from_their_table(rng: np.random.Generator, tmp_path: Path) -> None:
+def test_poses_come_back_from_their_table(rng, tmp_path):
     poses = poses_of(rng)
     poses.write(tmp_path / "poses.parquet")
     again = ImagePoses.read(tmp_path / "poses.parquet")
@@ -50,14 +48,14 @@ def test_poses_come_back_from_their_table(rng: np.random.Generator, tmp_path: Pa
         np.testing.assert_array_equal(getattr(again, name), getattr(poses, name))
 
 
-def test_a_pose_carries_its_covariance(rng: np.random.Generator) -> None:
+def test_a_pose_carries_its_covariance(rng):
     poses = poses_of(rng)
     T = poses.pose(2)
     np.testing.assert_allclose(T.cov, poses.cov_pose_wcs[2])
     np.testing.assert_allclose(T.apply([[0.0, 0.0, 0.0]])[0], poses.centre_wcs_m[2])
 
 
-def test_other_times_leave_the_poses(rng: np.random.Generator) -> None:
+def test_other_times_leave_the_poses(rng):
     poses = poses_of(rng)
     later = poses.with_times(poses.t_gps_s + 1.0, np.zeros(5))
     np.testing.assert_array_equal(later.t_gps_s, poses.t_gps_s + 1.0)

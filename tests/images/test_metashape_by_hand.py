@@ -15,7 +15,7 @@ STATED = {
 }  # fmt: skip
 
 
-def test_the_principal_point_counts_from_the_middle_to_the_right_and_down() -> None:
+def test_the_principal_point_counts_from_the_middle_to_the_right_and_down():
     ours = from_metashape(STATED, SIZE_PX)
     assert (ours["cx"], ours["cy"]) == (367.0, 265.0)
     assert (ours["fx"], ours["fy"]) == (604.0, 600.0)
@@ -34,7 +34,7 @@ def test_the_principal_point_counts_from_the_middle_to_the_right_and_down() -> N
     assert camera.project(rays)[1] == pytest.approx([367.0 + 604.0 * u, 265.0 + 600.0 * v])
 
 
-def test_a_covariance_changes_its_names_with_its_parameters() -> None:
+def test_a_covariance_changes_its_names_with_its_parameters():
     """fx is f + b1, fy is f: variances and all covariances of the sums."""
     stated = ("f", "b1", "cx", "p1", "p2")
     root = np.random.default_rng(13).standard_normal((5, 5))

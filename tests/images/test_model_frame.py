@@ -1,7 +1,6 @@
 """Photographs without control points and positions: a model in a frame of its own, without scale."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -27,7 +26,7 @@ CORNERS = {
 """Corners of the boxes of `sfm_scene`."""
 
 
-def test_a_block_without_control_is_true_in_its_own_datum(rng: np.random.Generator) -> None:
+def test_a_block_without_control_is_true_in_its_own_datum(rng):
     """Errors of poses, in the datum that is stated, are those of their joint covariance."""
     problem, truth = scene(rng, images=14, points=320)
     turned = problem.block.transformed(exp_rotation([0.4, -1.1, 2.0]), np.array([900.0, -40.0, 7.0]), 0.13)
@@ -56,7 +55,7 @@ def test_a_block_without_control_is_true_in_its_own_datum(rng: np.random.Generat
 
 
 @pytest.fixture(scope="module")
-def model(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, np.ndarray]:
+def model(tmp_path_factory):
     """Results of five photographs and marks of four corners, and the true centres."""
     folder = tmp_path_factory.mktemp("model")
     taken = photographs(folder / "photos", x=np.linspace(-1.4, 1.4, 5))
@@ -73,7 +72,7 @@ def model(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, np.ndarray]:
     return folder / "out", taken.centre
 
 
-def test_photographs_alone_have_the_right_shape(model: tuple[Path, np.ndarray]) -> None:
+def test_photographs_alone_have_the_right_shape(model):
     out, true = model
     poses = pd.read_csv(out / "image_poses.csv")
     xyz = poses[["x", "y", "z"]].to_numpy()
@@ -88,7 +87,7 @@ def test_photographs_alone_have_the_right_shape(model: tuple[Path, np.ndarray]) 
     np.testing.assert_allclose(corners, list(CORNERS.values()), atol=0.15)
 
 
-def test_a_model_claims_no_metres(model: tuple[Path, np.ndarray]) -> None:
+def test_a_model_claims_no_metres(model):
     out, _ = model
     facts = json.loads((out / "orientation.json").read_text())
     assert facts["crs"] is None
@@ -106,7 +105,7 @@ def test_a_model_claims_no_metres(model: tuple[Path, np.ndarray]) -> None:
     assert " mm" not in page
 
 
-def test_two_photographs_of_nothing_common_are_refused(tmp_path: Path, rng: np.random.Generator) -> None:
+def test_two_photographs_of_nothing_common_are_refused(tmp_path, rng):
     files = {}
     for name in ("a.png", "b.png"):
         noise = rng.integers(0, 255, (15, 20), np.uint8)
@@ -116,9 +115,7 @@ def test_two_photographs_of_nothing_common_are_refused(tmp_path: Path, rng: np.r
         orient_photographs(files, crs=None)
 
 
-def test_a_crs_needs_coordinates_and_they_need_one(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_crs_needs_coordinates_and_they_need_one(tmp_path, capsys):
     with pytest.raises(InputError, match="UTM zone 33N, and nothing that has coordinates"):
         orient_photographs({}, crs="EPSG:25833")
     for given, told in (

@@ -112,12 +112,12 @@ def seen_room(folder: Path, files: Iterable[int]) -> tuple[Path, TrueRig, Rig, l
 
 
 @pytest.fixture(scope="module")
-def room(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, TrueRig, Rig, list[Rigid]]:
+def room(tmp_path_factory):
     """All eight files."""
     return seen_room(tmp_path_factory.mktemp("room"), range(N))
 
 
-def test_features_are_those_of_the_views_up_to_the_rim(tmp_path: Path) -> None:
+def test_features_are_those_of_the_views_up_to_the_rim(tmp_path):
     folder, _, rig, _ = seen_room(tmp_path, [3])
     path = folder / "003.jpg"
     found = extract_features({"front/003.jpg": path, "back/003.jpg": path}, settings=FEATURES, rig=rig)
@@ -144,7 +144,7 @@ def oriented(room: tuple, *, rig: bool = True) -> PhotographBlock:
 
 
 @pytest.mark.slow
-def test_files_of_a_rig_have_one_pose_each(room: tuple, tmp_path: Path) -> None:
+def test_files_of_a_rig_have_one_pose_each(room, tmp_path):
     _, true, _, fronts = room
     block = oriented(room)
     poses = block.found.poses
@@ -182,7 +182,7 @@ def test_files_of_a_rig_have_one_pose_each(room: tuple, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_files_of_a_rig_orient_a_boat(room: tuple, tmp_path: Path) -> None:
+def test_files_of_a_rig_orient_a_boat(room, tmp_path):
     """As the rule calls it: times, antenna and predictions of a boat whose body frame is the front lens."""
     folder, _, rig, fronts = room
     rng, at, where = (

@@ -4,7 +4,6 @@ import json
 import runpy
 import shutil
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -35,17 +34,17 @@ PREDICTED = MappingSettings(interior="fixed", method="predicted")
 
 
 @pytest.fixture(scope="module")
-def wall(tmp_path_factory: pytest.TempPathFactory) -> Photographs:
+def wall(tmp_path_factory):
     return photographs(tmp_path_factory.mktemp("wall"))
 
 
 @pytest.fixture(scope="module")
-def features(wall: Photographs) -> Features:
+def features(wall):
     return extract_features(wall.files, threads=2)
 
 
 @pytest.fixture(scope="module")
-def matches(wall: Photographs, features: Features) -> Matches:
+def matches(wall, features):
     return match_images(features, wall.files, known=KNOWN)
 
 
@@ -69,7 +68,7 @@ def equal(a: ImageBlock, b: ImageBlock) -> bool:
     )
 
 
-def test_poses_are_those_of_the_scene(wall: Photographs, matches: Matches) -> None:
+def test_poses_are_those_of_the_scene(wall, matches):
     mapped = map_images(matches, settings=FIXED)
     (block,) = mapped.pieces
     assert block.images == tuple(f.name for f in wall.files)
@@ -105,7 +104,7 @@ def predicted(wall: Photographs) -> ImagePoses:
     )
 
 
-def test_the_block_begins_with_the_predicted_poses(wall: Photographs, matches: Matches) -> None:
+def test_the_block_begins_with_the_predicted_poses(wall, matches):
     mapped = map_images(matches, predictions=predicted(wall), settings=PREDICTED)
     (block,) = mapped.pieces
     assert block.images == tuple(f.name for f in wall.files)
@@ -124,7 +123,7 @@ def test_the_block_begins_with_the_predicted_poses(wall: Photographs, matches: M
     assert whole.images == block.images
 
 
-def test_predictions_that_the_images_contradict_are_not_used(wall: Photographs, matches: Matches) -> None:
+def test_predictions_that_the_images_contradict_are_not_used(wall, matches):
     wrong = predicted(wall)
     wrong = replace(wrong, centre_wcs_m=wrong.centre_wcs_m[::-1])
     mapped = map_images(matches, predictions=wrong, settings=PREDICTED)
@@ -132,7 +131,7 @@ def test_predictions_that_the_images_contradict_are_not_used(wall: Photographs, 
     assert any("contradict each other" in line for line in mapped.facts["notes"])
 
 
-def test_tracks_have_two_images_and_no_doubled_marks(matches: Matches) -> None:
+def test_tracks_have_two_images_and_no_doubled_marks(matches):
     mapped = map_images(matches, settings=FIXED)
     (block,) = mapped.pieces
     assert np.bincount(block.mark_point).min() >= 2
@@ -155,18 +154,14 @@ def test_tracks_have_two_images_and_no_doubled_marks(matches: Matches) -> None:
     [(MappingSettings(interior="estimated"), 2), (MappingSettings(method="global"), 2)],
     ids=["incremental", "global"],
 )
-def test_the_same_matches_give_the_same_block(
-    matches: Matches, settings: MappingSettings, threads: int
-) -> None:
+def test_the_same_matches_give_the_same_block(matches, settings, threads):
     first = map_images(matches, settings=settings, threads=threads)
     again = map_images(matches, settings=settings, threads=1)
     assert equal(first.pieces[0], again.pieces[0])
     assert first.facts == again.facts
 
 
-def test_threads_and_files_change_nothing(
-    wall: Photographs, features: Features, matches: Matches, tmp_path: Path
-) -> None:
+def test_threads_and_files_change_nothing(wall, features, matches, tmp_path):
     other = match_images(features, wall.files[::-1], known=KNOWN, threads=2)
     other.write(tmp_path / "b.npz")
     matches.write(tmp_path / "a.npz")
@@ -175,7 +170,7 @@ def test_threads_and_files_change_nothing(
     assert equal(map_images(read, settings=FIXED).pieces[0], map_images(matches, settings=FIXED).pieces[0])
 
 
-def test_a_camera_of_which_nothing_is_known(wall: Photographs, features: Features) -> None:
+def test_a_camera_of_which_nothing_is_known(wall, features):
     found = match_images(features, wall.files)
     assert found.facts["interior"] == ["1.2 times the longer side, a guess, SIMPLE_RADIAL, 384.0 px"]
     (block,) = map_images(found).pieces
@@ -186,13 +181,13 @@ def test_a_camera_of_which_nothing_is_known(wall: Photographs, features: Feature
 
 
 @pytest.fixture(scope="module")
-def fisheyes(tmp_path_factory: pytest.TempPathFactory) -> tuple[Photographs, Matches]:
+def fisheyes(tmp_path_factory):
     truth = photographs(tmp_path_factory.mktemp("fisheyes"), FISHEYE, x=np.linspace(-2.1, 2.1, 6))
     return truth, match_images(extract_features(truth.files), truth.files, known=Known(cameras=(FISHEYE,)))
 
 
 @pytest.mark.parametrize("method", ["incremental", "global"])
-def test_fisheyes(fisheyes: tuple[Photographs, Matches], method: str) -> None:
+def test_fisheyes(fisheyes, method):
     truth, found = fisheyes
     settings = MappingSettings(method=method, interior="estimated")
     (block,) = map_images(found, settings=settings).pieces
@@ -206,7 +201,7 @@ def test_fisheyes(fisheyes: tuple[Photographs, Matches], method: str) -> None:
     assert block.cameras[0].parameters[:2] == pytest.approx([110, 110], rel=0.01)
 
 
-def test_a_block_that_splits_is_said_and_kept(tmp_path: Path) -> None:
+def test_a_block_that_splits_is_said_and_kept(tmp_path):
     x = np.concatenate([np.linspace(-2.4, -0.3, 5), np.linspace(13.0, 14.4, 4)])
     truth = photographs(tmp_path, x=x)
     found = match_images(extract_features(truth.files), truth.files, known=KNOWN)
@@ -228,7 +223,7 @@ def test_a_block_that_splits_is_said_and_kept(tmp_path: Path) -> None:
     json.dumps(facts)
 
 
-def test_parts_that_hang_on_a_few_points_are_taken_apart(matches: Matches) -> None:
+def test_parts_that_hang_on_a_few_points_are_taken_apart(matches):
     (block,) = map_images(matches, settings=FIXED).pieces
     assert [part.tolist() for part in firm_parts(block, 15)] == [list(range(9))]
     # images 0 to 3 and 4 to 8 keep 14 points in common
@@ -257,14 +252,14 @@ def test_parts_that_hang_on_a_few_points_are_taken_apart(matches: Matches) -> No
     np.testing.assert_array_equal(piece.residuals_px(), weak.residuals_px()[rows])
 
 
-def test_auto_keeps_a_given_camera_and_estimates_a_guess(wall: Photographs, matches: Matches) -> None:
+def test_auto_keeps_a_given_camera_and_estimates_a_guess(wall, matches):
     (held,) = map_images(matches, settings=MappingSettings()).pieces
     assert held.cameras[0].parameters[0] == 270
     (block,) = map_images(matches, settings=MappingSettings(interior="estimated")).pieces
     assert 0 < abs(block.cameras[0].parameters[0] - 270) < 5
 
 
-def test_a_given_camera_is_freed_once_the_block_stands(wall: Photographs, features: Features) -> None:
+def test_a_given_camera_is_freed_once_the_block_stands(wall, features):
     """Two per cent off, as after another focus: the first pairs keep it, nine images tell."""
     off = PERSPECTIVE.with_parameters(
         PERSPECTIVE.parameters * np.r_[1.02, 1.02, np.ones(len(PERSPECTIVE.parameters) - 2)]
@@ -293,7 +288,7 @@ def test_a_given_camera_is_freed_once_the_block_stands(wall: Photographs, featur
         (1542.0, 0.1, -13.7, "it folds the picture"),  # what two images of a turntable gave, k2 of a fold
     ],
 )
-def test_impossible_lenses_are_told(f: float, k1: float, k2: float, words: str) -> None:
+def test_impossible_lenses_are_told(f, k1, k2, words):
     side = 2400 if f > 1000 else 640
     size = (side, side * 3 // 4)
     lens = Camera(
@@ -305,7 +300,7 @@ def test_impossible_lenses_are_told(f: float, k1: float, k2: float, words: str) 
     assert bool(words) == bool(impossible_lens(lens))
 
 
-def test_every_image_that_stays_out_has_its_reason(wall: Photographs, tmp_path: Path) -> None:
+def test_every_image_that_stays_out_has_its_reason(wall, tmp_path):
     for file in wall.files[:5]:
         shutil.copy(file, tmp_path)
     shutil.copy(wall.files[1], tmp_path / "image_20.png")
@@ -338,7 +333,7 @@ def test_every_image_that_stays_out_has_its_reason(wall: Photographs, tmp_path: 
     assert (table["pairs_compared"][["image_20.png", "image_21.png", "image_24.png"]] == 0).all()
 
 
-def test_one_image_and_none_that_overlap(wall: Photographs, tmp_path: Path, features: Features) -> None:
+def test_one_image_and_none_that_overlap(wall, tmp_path, features):
     one = extract_features(wall.files[:1])
     with pytest.raises(InputError, match=r"1 of 1 images can take part; expected at least two"):
         match_images(one, wall.files, known=KNOWN)
@@ -356,7 +351,7 @@ def test_one_image_and_none_that_overlap(wall: Photographs, tmp_path: Path, feat
     assert main_block(Mapped(pieces=(mapped_two(wall, features),), facts={}), {}).images
 
 
-def test_a_camera_that_stood_still_is_named(wall: Photographs, tmp_path: Path, rng) -> None:
+def test_a_camera_that_stood_still_is_named(wall, tmp_path, rng):
     """Three pictures of one place, each with noise of its own: no depth, and the cure is a resection."""
     for k in range(3):
         with Image.open(wall.files[3]) as image:
@@ -381,7 +376,7 @@ def mapped_two(wall: Photographs, features: Features) -> ImageBlock:
     return block
 
 
-def test_sizes_without_a_given_camera_have_cameras_of_their_own(wall: Photographs, tmp_path: Path) -> None:
+def test_sizes_without_a_given_camera_have_cameras_of_their_own(wall, tmp_path):
     for k, file in enumerate(wall.files[2:7]):
         with Image.open(file) as image:
             size = (480, 360) if k == 2 else image.size
@@ -396,9 +391,7 @@ def test_sizes_without_a_given_camera_have_cameras_of_their_own(wall: Photograph
         match_images(extract_features(files), files, section=MappingSettings(interior="fixed"))
 
 
-def test_times_and_a_trajectory_choose_the_pairs(
-    wall: Photographs, features: Features, tmp_path: Path
-) -> None:
+def test_times_and_a_trajectory_choose_the_pairs(wall, features, tmp_path):
     t = {file.name: 100.0 + k for k, file in enumerate(wall.files)}
     pd.DataFrame({"file": list(t), "t_gps_s": list(t.values())}).to_parquet(tmp_path / "times.parquet")
     assert read_times(tmp_path / "times.parquet") == t
@@ -422,7 +415,7 @@ def test_times_and_a_trajectory_choose_the_pairs(
         read_times(tmp_path / "other.parquet")
 
 
-def test_the_four_scripts(wall: Photographs, matches: Matches, repository: Path, tmp_path: Path) -> None:
+def test_the_four_scripts(wall, matches, repository, tmp_path):
     def script(name: str) -> object:
         return runpy.run_path(str(repository / f"workflow/scripts/{name}.py"))["main"]
 

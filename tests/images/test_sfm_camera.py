@@ -1,7 +1,5 @@
 """Interior orientations to COLMAP and back."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from PIL import Image
@@ -30,9 +28,7 @@ FISH = camera("fisheye", 0.02, -0.004, 0.001, -0.0002)
         (FISH, "auto", False, "OPENCV_FISHEYE"),
     ],
 )
-def test_both_sides_image_the_same_ray_at_the_same_pixel(
-    given: Camera, lens: str, fixed: bool, took: str
-) -> None:
+def test_both_sides_image_the_same_ray_at_the_same_pixel(given, lens, fixed, took):
     start = start_given(given, lens, fixed=fixed)
     assert (start.lens, start.known) == (took, True)
     made, error_px = to_colmap(start, 1)
@@ -45,7 +41,7 @@ def test_both_sides_image_the_same_ray_at_the_same_pixel(
     assert (back.model, back.size_px, error_px) == (given.model, given.size_px, 0.0)
 
 
-def test_a_k3_that_opencv_has_not_goes_into_k1_and_k2() -> None:
+def test_a_k3_that_opencv_has_not_goes_into_k1_and_k2():
     made, error_px = to_colmap(start_given(BROWN_K3), 1)
     assert made.model_name == "OPENCV"
     # without the fit the corners would be off by fx k3 r^7 = 1.9 px (r = 0.77)
@@ -60,7 +56,7 @@ def test_a_k3_that_opencv_has_not_goes_into_k1_and_k2() -> None:
     assert lost_px > 0.5  # 1.5 px of 520 px are lost at the edge of the picture
 
 
-def test_a_denominator_is_folded_into_browns_model() -> None:
+def test_a_denominator_is_folded_into_browns_model():
     pc = colmap()
     params = [520, 523, 322.5, 236, -0.05, 0.01, 0.0004, -0.0002, 0.002, 0.03, -0.01, 0.002]
     made = pc.Camera(camera_id=1, model=pc.CameraModelId.FULL_OPENCV, width=640, height=480, params=params)
@@ -72,7 +68,7 @@ def test_a_denominator_is_folded_into_browns_model() -> None:
     assert np.abs(off).max() < 0.05
 
 
-def test_a_guess_says_that_it_is_one(tmp_path: Path) -> None:
+def test_a_guess_says_that_it_is_one(tmp_path):
     plain = tmp_path / "plain.jpg"
     Image.new("L", (640, 480)).save(plain)
     start = start_guessed(plain, (640, 480))
@@ -90,12 +86,12 @@ def test_a_guess_says_that_it_is_one(tmp_path: Path) -> None:
     assert fish.camera.model == "fisheye"
 
 
-def test_a_lens_of_the_other_kind_is_refused() -> None:
+def test_a_lens_of_the_other_kind_is_refused():
     with pytest.raises(InputError, match=r"images.mapping.lens: lens OPENCV for the fisheye camera"):
         start_given(FISH, "OPENCV")
 
 
-def test_cameras_are_told_apart_by_the_size_of_their_pictures() -> None:
+def test_cameras_are_told_apart_by_the_size_of_their_pictures():
     other = camera("perspective", *np.zeros(5), size=(320, 240))
     found, reasons = cameras_by_size([(640, 480), (320, 240), (480, 640)], [BROWN, other])
     assert found == [0, 1, -1]

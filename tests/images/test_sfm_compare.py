@@ -53,23 +53,23 @@ class Two:
 
 
 @pytest.fixture(scope="module")
-def two(tmp_path_factory: pytest.TempPathFactory) -> Two:
+def two(tmp_path_factory):
     return Two(tmp_path_factory.mktemp("two"))
 
 
 @pytest.fixture(scope="module")
-def whole(two: Two) -> Matches:
+def whole(two):
     """All pairs compared in one job."""
     return match_images(two.features, two.images)
 
 
 @pytest.fixture(scope="module")
-def half_known(two: Two) -> Matches:
+def half_known(two):
     """With the camera of one folder."""
     return match_images(two.features, two.images, known=Known(of_folder={"right": LONG}))
 
 
-def test_two_cameras_of_one_size_have_focal_lengths_of_their_own(two: Two, whole: Matches) -> None:
+def test_two_cameras_of_one_size_have_focal_lengths_of_their_own(two, whole):
     found = whole
     assert found.camera.tolist() == [0] * 6 + [1] * 6
     (block,) = map_images(found).pieces
@@ -87,9 +87,7 @@ def test_two_cameras_of_one_size_have_focal_lengths_of_their_own(two: Two, whole
     assert not any(len(p.images) == 12 and two.away(p) < 0.04 for p in pieces)
 
 
-def test_a_given_camera_stays_while_that_of_another_folder_is_estimated(
-    two: Two, half_known: Matches
-) -> None:
+def test_a_given_camera_stays_while_that_of_another_folder_is_estimated(two, half_known):
     found = half_known
     assert held_cameras(found, MappingSettings()) == {2}
     assert held_cameras(found, MappingSettings(interior="estimated")) == {2}
@@ -104,7 +102,7 @@ def test_a_given_camera_stays_while_that_of_another_folder_is_estimated(
     assert two.away(block) < 0.02
 
 
-def test_the_database_has_a_camera_for_each_folder(two: Two, tmp_path: Path) -> None:
+def test_the_database_has_a_camera_for_each_folder(two, tmp_path):
     plan = plan_matches(two.features, two.images, known=Known(of_folder={"left": PERSPECTIVE, "right": LONG}))
     fill_database(tmp_path / "block.db", plan, descriptor=two.features.descriptor)
     with colmap().Database.open(tmp_path / "block.db") as database:
@@ -120,9 +118,7 @@ def equal(a: Matches, b: Matches) -> bool:
 
 
 @pytest.mark.parametrize("parts", [1, 7])
-def test_any_number_of_parts_gives_the_same_matches(
-    two: Two, whole: Matches, tmp_path: Path, parts: int
-) -> None:
+def test_any_number_of_parts_gives_the_same_matches(two, whole, tmp_path, parts):
     plan = plan_matches(two.features, two.images)
     rows = [part_of_pairs(plan, k, parts) for k in range(parts)]
     assert np.array_equal(np.concatenate(rows), np.arange(len(plan.pairs)))
@@ -144,7 +140,7 @@ def test_any_number_of_parts_gives_the_same_matches(
             joined_parts(plan, [*done, done[0]])
 
 
-def test_parts_cost_alike_and_may_be_empty(two: Two) -> None:
+def test_parts_cost_alike_and_may_be_empty(two):
     plan = plan_matches(two.features, two.images)
     n = np.diff(plan.start)
     cost = n[plan.pairs[:, 0]] * n[plan.pairs[:, 1]]
@@ -160,9 +156,7 @@ def test_parts_cost_alike_and_may_be_empty(two: Two) -> None:
         part_of_pairs(plan, 4, 4)
 
 
-def test_the_jobs_of_the_parts_and_their_join(
-    two: Two, half_known: Matches, repository: Path, tmp_path: Path
-) -> None:
+def test_the_jobs_of_the_parts_and_their_join(two, half_known, repository, tmp_path):
     two.features.write(tmp_path / "features.npz")
     assert Features.read(tmp_path / "features.npz", descriptors=False).descriptor.shape == (0, 128)
     shared = {

@@ -1,13 +1,12 @@
 """Images before their features, and features in parts."""
 
 import shutil
-from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 
-from tests.images.sfm_scene import Photographs, photographs
+from tests.images.sfm_scene import photographs
 from thalweg.core import InputError
 from thalweg.images.model import inspect
 from thalweg.images.sfm import extract_features, part_of
@@ -18,7 +17,7 @@ SETTINGS = FeatureSettings(max_features=400)
 
 
 @pytest.fixture(scope="module")
-def wall(tmp_path_factory: pytest.TempPathFactory) -> Photographs:
+def wall(tmp_path_factory):
     return photographs(tmp_path_factory.mktemp("wall"))
 
 
@@ -29,7 +28,7 @@ def same(a: Features, b: Features) -> bool:
     return arrays and a.pictures == b.pictures
 
 
-def test_any_split_gives_the_same_features(wall: Photographs, tmp_path: Path) -> None:
+def test_any_split_gives_the_same_features(wall, tmp_path):
     files = wall.files[:4]
     whole = extract_features(files[::-1], settings=SETTINGS, threads=2)
     parts = [extract_features(part_of(files, k, 3), settings=SETTINGS) for k in range(3)]
@@ -48,9 +47,7 @@ def test_any_split_gives_the_same_features(wall: Photographs, tmp_path: Path) ->
     assert some.place[:, 2].min() >= np.sort(all_of_it[:, 2])[-101]
 
 
-def test_features_of_a_scaled_image_stand_in_pixels_of_the_full_one(
-    wall: Photographs, tmp_path: Path
-) -> None:
+def test_features_of_a_scaled_image_stand_in_pixels_of_the_full_one(wall, tmp_path):
     with Image.open(wall.files[0]) as image:
         image.resize((960, 720), Image.Resampling.BICUBIC).save(tmp_path / wall.files[0].name)
     large = extract_features([tmp_path / wall.files[0].name], settings=SETTINGS.replace(max_size_px=320))
@@ -62,7 +59,7 @@ def test_features_of_a_scaled_image_stand_in_pixels_of_the_full_one(
     assert np.median(large.place[:, 2]) == pytest.approx(3 * np.median(small.place[:, 2]), rel=0.1)
 
 
-def test_masks_are_honoured_and_do_not_cost_features(wall: Photographs, tmp_path: Path) -> None:
+def test_masks_are_honoured_and_do_not_cost_features(wall, tmp_path):
     few = FeatureSettings(max_features=150)
     mask = np.zeros((240, 320), np.uint8)
     mask[:, :100] = 255
@@ -80,7 +77,7 @@ def test_masks_are_honoured_and_do_not_cost_features(wall: Photographs, tmp_path
     assert np.array_equal(found.place[found.rows(3)], free.place[free.rows(3)])
 
 
-def test_unusable_images_say_why_and_the_rest_goes_on(wall: Photographs, tmp_path: Path) -> None:
+def test_unusable_images_say_why_and_the_rest_goes_on(wall, tmp_path):
     good = tmp_path / "good.png"
     shutil.copy(wall.files[0], good)
     shutil.copy(wall.files[0], tmp_path / "zz_twin.png")
@@ -130,7 +127,7 @@ def test_unusable_images_say_why_and_the_rest_goes_on(wall: Photographs, tmp_pat
     assert list(used) == ["good.png"]
 
 
-def test_a_rotation_noted_in_exif_is_not_applied(tmp_path: Path, wall: Photographs) -> None:
+def test_a_rotation_noted_in_exif_is_not_applied(tmp_path, wall):
     exif = Image.Exif()
     exif[0x0112] = 6
     with Image.open(wall.files[0]) as image:
@@ -140,7 +137,7 @@ def test_a_rotation_noted_in_exif_is_not_applied(tmp_path: Path, wall: Photograp
     assert grey.shape == (240, 320)
 
 
-def test_images_of_16_bits(tmp_path: Path, wall: Photographs) -> None:
+def test_images_of_16_bits(tmp_path, wall):
     with Image.open(wall.files[0]) as image:
         values = np.asarray(image)
     Image.fromarray(values.astype(np.uint16) << 8).save(tmp_path / "a.png")
@@ -149,7 +146,7 @@ def test_images_of_16_bits(tmp_path: Path, wall: Photographs) -> None:
     assert np.array_equal(grey, values)
 
 
-def test_wrong_calls_are_refused(wall: Photographs, tmp_path: Path) -> None:
+def test_wrong_calls_are_refused(wall, tmp_path):
     (tmp_path / "other").mkdir()
     shutil.copy(wall.files[0], tmp_path / "other")
     with pytest.raises(InputError, match=r"image_01.png is named twice.*Name a folder or the files"):
@@ -177,7 +174,7 @@ def test_wrong_calls_are_refused(wall: Photographs, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("enlarged", [1, 2])
-def test_pixels_count_from_the_corner_of_the_image(tmp_path: Path, enlarged: int) -> None:
+def test_pixels_count_from_the_corner_of_the_image(tmp_path, enlarged):
     """Blobs whose middle is known; a scaled image must not shift them."""
     w, h = 320 * enlarged, 240 * enlarged
     x, y = np.meshgrid(np.arange(w) + 0.5, np.arange(h) + 0.5)

@@ -14,26 +14,26 @@ def as_set(pairs: np.ndarray) -> set[tuple[int, int]]:
     return {(int(a), int(b)) for a, b in pairs}
 
 
-def test_names_count_by_their_numbers() -> None:
+def test_names_count_by_their_numbers():
     order, notes = order_in_time(NAMES)
     assert [NAMES[k] for k in order] == ["img_1.jpg", "img_2.jpg", "img_3.jpg", "img_10.jpg"]
     assert notes == []
 
 
-def test_time_counts_before_names() -> None:
+def test_time_counts_before_names():
     order, notes = order_in_time(NAMES, np.array([20.0, 5.0, 10.0, 30.0]))
     assert [NAMES[k] for k in order] == ["img_10.jpg", "img_1.jpg", "img_2.jpg", "img_3.jpg"]
     assert notes == ["names do not follow time at 1 places: the order in time counts"]
 
 
-def test_an_image_without_time_stands_behind_its_name() -> None:
+def test_an_image_without_time_stands_behind_its_name():
     order, notes = order_in_time(NAMES, np.array([np.nan, 5.0, 10.0, 30.0]))
     assert [NAMES[k] for k in order] == ["img_10.jpg", "img_1.jpg", "img_2.jpg", "img_3.jpg"]
     assert notes[0] == "1 images without time, such as img_2.jpg, are placed by their names"
     assert order_in_time(NAMES, np.full(4, np.nan))[1] == []
 
 
-def test_sequential_pairs() -> None:
+def test_sequential_pairs():
     order = np.array([3, 1, 0, 2, 4, 5])
     pairs, kind = image_pairs(order, MappingSettings(pairs="sequential", overlap=1, quadratic=False))
     assert kind == "sequential"
@@ -44,7 +44,7 @@ def test_sequential_pairs() -> None:
     assert len(pairs) == 19 + 18 + 17 + 16
 
 
-def test_pairs_by_position_join_two_passes_of_the_same_bank() -> None:
+def test_pairs_by_position_join_two_passes_of_the_same_bank():
     x = np.concatenate([np.arange(40.0), np.arange(40.0)[::-1]])
     position = np.column_stack([x, np.zeros(80), np.zeros(80)])
     settings = MappingSettings(pairs="auto", overlap=3, quadratic=False, max_distance_m=2.5, max_neighbours=4)
@@ -64,7 +64,7 @@ def test_pairs_by_position_join_two_passes_of_the_same_bank() -> None:
     assert not any(a in range(20, 25) and b - a > 3 for a, b in as_set(pairs))
 
 
-def test_auto_compares_few_images_all_with_all() -> None:
+def test_auto_compares_few_images_all_with_all():
     pairs, kind = image_pairs(np.array([0, 2, 5]), MappingSettings())
     assert (kind, as_set(pairs)) == ("exhaustive", {(0, 2), (0, 5), (2, 5)})
     assert image_pairs(np.arange(31), MappingSettings())[1] == "sequential"
@@ -72,7 +72,7 @@ def test_auto_compares_few_images_all_with_all() -> None:
     assert pairs.shape == (0, 2)
 
 
-def test_pairs_by_position_need_positions() -> None:
+def test_pairs_by_position_need_positions():
     with pytest.raises(
         GeometryError, match=r"no image has an approximate position.*sequential or exhaustive"
     ):

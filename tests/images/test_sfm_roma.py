@@ -2,7 +2,6 @@
 
 import re
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -51,7 +50,7 @@ def off_in_percent(block: ImageBlock, folder: Path) -> tuple[float, float]:
 
 
 @pytest.mark.slow
-def test_every_second_image_small(data_dir: Path, record_property: Any) -> None:
+def test_every_second_image_small(data_dir, record_property):
     """Wrong poses are seen by `test_sfm_block` (truth) and `test_photographs` (real) in the suite."""
     folder = data_dir / "dbat_roma"
     block, facts = oriented(folder, 2, 1000, 3000, pairs="sequential")
@@ -65,7 +64,7 @@ def test_every_second_image_small(data_dir: Path, record_property: Any) -> None:
 
 
 @pytest.mark.slow
-def test_all_images(data_dir: Path, record_property: Any) -> None:
+def test_all_images(data_dir, record_property):
     folder = data_dir / "dbat_roma"
     block, facts = oriented(folder, 1, 1600, 2500, pairs="exhaustive")
     assert (facts["registered"], facts["left_out"]) == (60, {})

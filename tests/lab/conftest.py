@@ -84,7 +84,7 @@ def short(**changes: Any) -> TwinConfig:
 
 
 @pytest.fixture(scope="session")
-def twin(tmp_path_factory: pytest.TempPathFactory) -> Twin:
+def twin(tmp_path_factory):
     folder = tmp_path_factory.mktemp("twin")
     config = short(tls={"spacing_m": 0.2})
     scene = folder / "scene.npz"
@@ -106,18 +106,18 @@ def twin(tmp_path_factory: pytest.TempPathFactory) -> Twin:
 
 
 @pytest.fixture(scope="session")
-def scene(twin: Twin) -> Scene:
+def scene(twin):
     return twin.scene
 
 
 @pytest.fixture(scope="session")
-def mount() -> tuple[np.ndarray, np.ndarray]:
+def mount():
     """Rotation and lever arm of the scanner."""
     return R_ICS_SCS, LIDAR_M
 
 
 @pytest.fixture
-def record(twin: Twin, tmp_path: Path) -> Recorder:
+def record(twin, tmp_path):
     """Record the lidar again with other settings, on the same scene."""
 
     def again(name: str, **changes: Any) -> tuple[Path, dict[str, Any], TwinConfig]:

@@ -25,7 +25,7 @@ def colour(material: Material, footprint_m: float, n: int = 40_000) -> np.ndarra
 
 
 @pytest.mark.parametrize("material", [*GROUND, *UPRIGHT])
-def test_detail_fades_out_and_leaves_the_mean(material: Material) -> None:
+def test_detail_fades_out_and_leaves_the_mean(material):
     near, far, farther = (colour(material, f) for f in (0.001, 1.0, 20.0))
     contrast = near.std(axis=0) / near.mean(axis=0)
     # Plaster and concrete are the smoothest: 6 %.
@@ -39,7 +39,7 @@ def test_detail_fades_out_and_leaves_the_mean(material: Material) -> None:
 
 
 @pytest.mark.parametrize("material", [Material.GRAVEL, Material.STONE])
-def test_detail_goes_down_to_millimetres(material: Material) -> None:
+def test_detail_goes_down_to_millimetres(material):
     """Neighbours 2 mm apart differ where the footprint is 1 mm, and are alike where it is 5 cm."""
     p, normal, code, same = places(20_000, material)
     step = np.zeros_like(p)
@@ -55,7 +55,7 @@ def test_detail_goes_down_to_millimetres(material: Material) -> None:
     assert differ[1] < 0.25 * differ[0]
 
 
-def test_a_place_has_one_colour() -> None:
+def test_a_place_has_one_colour():
     p, normal, code, same = places(5000, Material.GRAVEL)
     f = np.full(len(p), 0.003)
     first = surface_colour(p, normal, code, same, f, water_level_m=0.0)
@@ -67,7 +67,7 @@ def test_a_place_has_one_colour() -> None:
     np.testing.assert_array_equal(tilted, first)
 
 
-def test_the_relief_bends_normals_about_the_mesh() -> None:
+def test_the_relief_bends_normals_about_the_mesh():
     p, normal, code, same = places(20_000, Material.SOIL)
     near = surface_appearance(p, normal, code, same, np.full(len(p), 0.002), water_level_m=0.0)[1]
     far = surface_appearance(p, normal, code, same, np.full(len(p), 2.0), water_level_m=0.0)[1]

@@ -1,12 +1,10 @@
 """The survey of the bed on foot: where its points are, how they err, and how the processing reads them."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from tests.lab.conftest import FRAME, SEED, Twin, short
+from tests.lab.conftest import FRAME, SEED, short
 from thalweg.ingest.tracks import read_bed_survey
 from thalweg_lab.instruments import simulate_bed_survey
 from thalweg_lab.instruments.bed import DEPTHS_M, REACH_M, bed_points
@@ -14,11 +12,11 @@ from thalweg_lab.river import Material, Scene
 
 
 @pytest.fixture(scope="module")
-def scene(twin: Twin) -> Scene:
+def scene(twin):
     return Scene.read(twin.path("scene.npz"))
 
 
-def test_points_lie_on_the_bed_in_shallow_water_near_the_track(twin: Twin, scene: Scene) -> None:
+def test_points_lie_on_the_bed_in_shallow_water_near_the_track(twin, scene):
     found = bed_points(twin.config, SEED, scene)
     # two sides of a track of 10 m, 4 m wide, a point each 0.8 by 0.5 m, less where it is too deep
     assert 20 < len(found) < 160
@@ -33,9 +31,7 @@ def test_points_lie_on_the_bed_in_shallow_water_near_the_track(twin: Twin, scene
     assert away.max() < REACH_M + 0.1
 
 
-def test_the_file_is_what_the_reader_takes_and_errs_as_stated(
-    twin: Twin, scene: Scene, tmp_path: Path
-) -> None:
+def test_the_file_is_what_the_reader_takes_and_errs_as_stated(twin, scene, tmp_path):
     config = short(echo={"bed_survey": True, "sigma_bed_m": 0.02, "sigma_bed_datum_m": 0.1})
     path = tmp_path / "bed.csv"
     facts = simulate_bed_survey(

@@ -32,7 +32,7 @@ def taken(folder: Path, **display: Any) -> tuple[pd.DataFrame, list[np.ndarray]]
 # ---------------------------------------------------------------- times
 
 
-def test_intervals_have_the_published_mean_and_scatter() -> None:
+def test_intervals_have_the_published_mean_and_scatter():
     """P2 6.1.2: 0.999 s and 0.023 s over 90 minutes."""
     times = exposures(config(duration_s=5400.0).camera.display, SEED, 3.0e8)
     interval = np.diff(times.of_day_s)
@@ -47,7 +47,7 @@ def test_intervals_have_the_published_mean_and_scatter() -> None:
     np.testing.assert_allclose(np.diff(times.t_gps_s), interval, atol=1e-6)
 
 
-def test_the_text_is_gps_time_of_day(tmp_path: Path) -> None:
+def test_the_text_is_gps_time_of_day(tmp_path):
     truth, _ = taken(tmp_path, duration_s=20.0)
     shown = pd.to_timedelta(truth["shown"]).dt.total_seconds().to_numpy()
     of_day = np.mod(truth["t_gps_s"] + ADJUSTED_OFFSET_S, 86_400)
@@ -58,7 +58,7 @@ def test_the_text_is_gps_time_of_day(tmp_path: Path) -> None:
     assert 0.003 < late.mean() < 0.012
 
 
-def test_two_numbers_lie_over_each_other_where_the_display_changes() -> None:
+def test_two_numbers_lie_over_each_other_where_the_display_changes():
     rows = np.array([0.0, 0.5, 1.0])
     counts, shares = shown_in(9.998, 0.004, 100.0, rows)
     np.testing.assert_allclose(shares.sum(axis=0), 1.0)
@@ -75,7 +75,7 @@ def test_two_numbers_lie_over_each_other_where_the_display_changes() -> None:
 
 
 @pytest.mark.parametrize("digits", ["segments", "font"])
-def test_the_digits_on_the_photographs_are_those_of_the_truth(tmp_path: Path, digits: str) -> None:
+def test_the_digits_on_the_photographs_are_those_of_the_truth(tmp_path, digits):
     """Photographs of the same second of the day look alike there, others do not.
 
     A template of each tenth of a second is the mean of the clear photographs that show it; each photograph

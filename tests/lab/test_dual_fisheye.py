@@ -10,7 +10,7 @@ from thalweg_lab.dual_fisheye import room_marks, room_points, true_rig
 from thalweg_lab.settings import TwinDualFisheye
 
 
-def test_two_perspective_cameras_are_a_rig() -> None:
+def test_two_perspective_cameras_are_a_rig():
     """Back to back, 12 cm apart: calibrated in the room like two lenses of one camera (T 2.2.3)."""
     side = 1200
     twin = TwinDualFisheye(

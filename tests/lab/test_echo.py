@@ -63,7 +63,7 @@ def dpt(log: PositionLog) -> np.ndarray:
     return log.depths.loc[log.depths["sentence"] == "DPT", "depth_m"].to_numpy()
 
 
-def test_cold_water_looks_deeper(tmp_path: Path) -> None:
+def test_cold_water_looks_deeper(tmp_path):
     """10 degrees, 1500 m/s assumed: 1447.3 m/s make 9 cm at 2.5 m (Marczak 1997)."""
     log, truth, facts = record(tmp_path, bed(tmp_path), {"assumed_sound_speed_mps": 1500.0})
     np.testing.assert_allclose(truth["depth_m"], 2.4, atol=1e-5)
@@ -73,7 +73,7 @@ def test_cold_water_looks_deeper(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("slope", [0.02, 0.3, 0.65])
-def test_the_beam_returns_the_nearest_place_of_a_slope(tmp_path: Path, slope: float) -> None:
+def test_the_beam_returns_the_nearest_place_of_a_slope(tmp_path, slope):
     """In closed form cos(theta) within the half angle, else cos(theta) / cos(theta - beta)."""
     corners = [[e, n, -2.5 + slope * n] for e, n in ((-300, -3), (300, -3), (300, 3), (-300, 3))]
     boat = {**CALM, "zigzag_deg": 0.0, "speed_mps": 0.2}
@@ -91,7 +91,7 @@ def test_the_beam_returns_the_nearest_place_of_a_slope(tmp_path: Path, slope: fl
         assert float(np.mean(vertical - truth["first_m"])) == pytest.approx(0.067 * 2.4 / 2.5, rel=0.1)
 
 
-def test_boulders_are_met_only_if_switched_on(tmp_path: Path) -> None:
+def test_boulders_are_met_only_if_switched_on(tmp_path):
     scene = bed(tmp_path, LEVEL, (0.0, 0.0, 6.0, -1.5))
     off, truth_off, _ = record(tmp_path, scene, {"beam_deg": 5.0})
     assert dpt(off).min() > 2.38
@@ -104,7 +104,7 @@ def test_boulders_are_met_only_if_switched_on(tmp_path: Path) -> None:
     assert facts["effects"] == {"boulder": int(stone.sum())}
 
 
-def test_each_blunder_is_named_and_has_its_share(tmp_path: Path) -> None:
+def test_each_blunder_is_named_and_has_its_share(tmp_path):
     shares = {"second_echo_share": 0.1, "spike_share": 0.1, "no_bottom_share": 0.1}
     log, truth, facts = record(tmp_path, bed(tmp_path), {**shares, "zeros": True, "rate_hz": 50.0})
     named = truth["effect"].value_counts()
@@ -124,7 +124,7 @@ def test_each_blunder_is_named_and_has_its_share(tmp_path: Path) -> None:
     np.testing.assert_allclose(truth["blunder_m"][second], 2.5, atol=1e-3)
 
 
-def test_own_filters_smooth_and_come_late(tmp_path: Path) -> None:
+def test_own_filters_smooth_and_come_late(tmp_path):
     """On a slope a window of k pings lags by half of it; the median takes single spikes out."""
     corners = [[e, n, -5.0 + 0.1 * e] for e, n in ((-30, -30), (30, -30), (30, 30), (-30, 30))]
     scene, boat = bed(tmp_path, corners), {**CALM, "zigzag_deg": 0.0}
@@ -146,13 +146,13 @@ def test_own_filters_smooth_and_come_late(tmp_path: Path) -> None:
     assert np.abs(truth["blunder_m"]).max() < 0.2
 
 
-def test_latency_stamps_late(tmp_path: Path) -> None:
+def test_latency_stamps_late(tmp_path):
     _, truth, facts = record(tmp_path, bed(tmp_path), {"latency_s": 0.4})
     np.testing.assert_allclose(truth["stamp_gps_s"] - truth["t_gps_s"], 0.4, atol=1e-6)
     assert facts["latency_s"] == 0.4
 
 
-def test_tilt_moves_the_place_and_is_stated(tmp_path: Path) -> None:
+def test_tilt_moves_the_place_and_is_stated(tmp_path):
     echo = {"tilt_deg": (4.0, -3.0), "tilt_sentences": True, "temperature_sentences": True}
     log, truth, _ = record(tmp_path, bed(tmp_path), {**echo, "water_temperature_c": 12.3})
     voyage = Voyage(short(boat=CALM), SEED)
@@ -168,7 +168,7 @@ def test_tilt_moves_the_place_and_is_stated(tmp_path: Path) -> None:
     assert log.report.details["roll_deg"] == pytest.approx(3.0, abs=0.8)
 
 
-def test_weeds_return_early_where_they_grow(tmp_path: Path) -> None:
+def test_weeds_return_early_where_they_grow(tmp_path):
     scene = {"weeds_cover": 0.4, "weeds_height_m": 0.6}
     log, truth, _ = record(tmp_path, bed(tmp_path), {"weed_share": 1.0, "rate_hz": 50.0}, None, scene=scene)
     weeds = (truth["effect"] == "weeds").to_numpy()
@@ -182,7 +182,7 @@ def test_weeds_return_early_where_they_grow(tmp_path: Path) -> None:
     assert np.mean(river.weed_height_m(s, n) > 0) == pytest.approx(0.3, abs=0.12)
 
 
-def test_the_boat_rides_on_water_that_falls() -> None:
+def test_the_boat_rides_on_water_that_falls():
     slope = {"water_fall_m_per_km": 5.0}
     plain, moved = Voyage(short(), SEED), Voyage(short(scene=slope), SEED)
     t = plain.start_gps_s + np.linspace(-1.0, 5.0, 61)
@@ -205,7 +205,7 @@ def patterned(pattern: str, **boat: Any) -> Voyage:
     return Voyage(config, SEED)
 
 
-def test_sections_cross_the_river_at_their_distance() -> None:
+def test_sections_cross_the_river_at_their_distance():
     voyage = patterned("sections", line_spacing_m=12.0)
     t = voyage.start_gps_s + np.arange(0.0, 180.0, 0.1)
     s, n = voyage.river.to_flow(*voyage.position_wcs_m(t)[:, :2].T)

@@ -1,7 +1,5 @@
 """Defects of logs are where their report says."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -9,7 +7,7 @@ from thalweg_lab.instruments.effects import damage_file, lost_packets
 from thalweg_lab.settings import TwinConfig, TwinEffects
 
 
-def test_damage_is_where_the_report_says(tmp_path: Path) -> None:
+def test_damage_is_where_the_report_says(tmp_path):
     effects = TwinConfig.of_size(
         "tiny", effects={"corrupt_bytes": 20, "cut_end_bytes": 33, "damaged_streams": ["ins"]}
     ).effects
@@ -28,7 +26,7 @@ def test_damage_is_where_the_report_says(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("share", "burst"), [(0.01, 5), (0.5, 1), (1.0, 5), (1.0, 1)])
-def test_the_share_of_lost_packets_is_the_one_asked_for(share: float, burst: int) -> None:
+def test_the_share_of_lost_packets_is_the_one_asked_for(share, burst):
     effects = TwinEffects(lost_packets=share, lost_burst=burst)
     lost = lost_packets(effects, 10_000, np.random.default_rng(3))
     # rounded to whole bursts

@@ -1,7 +1,6 @@
 """The receiver under a bridge, under leaves, on one frequency: kinds of solution, sigmas and errors."""
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -50,7 +49,7 @@ def roof(t_s: float, half_along_m: float, above_m: float) -> tuple[ArrayF, np.nd
 
 
 @pytest.fixture
-def record(tmp_path: Path) -> Callable[..., tuple[dict[str, Any], Path]]:
+def record(tmp_path):
     """Record the receiver in a scene; facts and folder."""
 
     def run(name: str, config: TwinConfig, scene: Scene | None = None) -> tuple[dict[str, Any], Path]:
@@ -87,7 +86,7 @@ def velocities(path: Path) -> tuple[ArrayF, ArrayF]:
     return fields["ned"] * 1e-3, fields["sigma"] * 1e-3
 
 
-def test_the_velocities_have_their_stated_sigma_two_sided(record: Any) -> None:
+def test_the_velocities_have_their_stated_sigma_two_sided(record):
     _, exact = record("exact", twin(sigma_velocity_mps=0.0))
     _, noisy = record("noisy", twin())
     _, loud = record("loud", twin(sigma_velocity_mps=0.3))
@@ -110,7 +109,7 @@ def test_the_velocities_have_their_stated_sigma_two_sided(record: Any) -> None:
         np.testing.assert_allclose(stated, sigma, rtol=1e-9)
 
 
-def test_a_low_bridge_makes_one_outage(record: Any) -> None:
+def test_a_low_bridge_makes_one_outage(record):
     """A deck 1.5 m above the antenna and 20 m wide: seen from its middle it reaches down to 9 degrees."""
     config = twin(shadow=True, refix_s=5.0)
     scene = scene_of(GROUND, (roof(10.0, 10.0, 1.5), Material.WALL))
@@ -143,7 +142,7 @@ def test_a_low_bridge_makes_one_outage(record: Any) -> None:
     assert facts["sky"]["blocked"]["max"] > 15
 
 
-def test_stated_sigmas_grow_with_the_dilution(record: Any) -> None:
+def test_stated_sigmas_grow_with_the_dilution(record):
     """A wall of leaves in the east of the whole track: fixed still, with quarter weights there."""
     config = twin(8.0, shadow=True)
     scene = scene_of(GROUND, (sheet([60, 0, 0], [0, 300, 0], [0, 0, 300]), Material.LEAF))
@@ -166,7 +165,7 @@ def test_stated_sigmas_grow_with_the_dilution(record: Any) -> None:
 
 
 @pytest.mark.parametrize("kind", [Solution.SINGLE, Solution.FLOAT, Solution.FIXED])
-def test_errors_are_as_large_as_stated_two_sided_and_larger_with_multipath(kind: Solution) -> None:
+def test_errors_are_as_large_as_stated_two_sided_and_larger_with_multipath(kind):
     """Over seeds, one epoch each: with multipath the errors leave the band of the stated sigmas."""
     config = twin(8.0, multipath_m={1: 1.0, 2: 0.5, 3: 0.05}[int(kind)])
     growth = np.array([[1.3, 1.7, 2.1]])
@@ -186,7 +185,7 @@ def test_errors_are_as_large_as_stated_two_sided_and_larger_with_multipath(kind:
     assert np.mean(np.square(on)) > high
 
 
-def test_multipath_is_in_no_sigma_and_moves_both_engines_alike(record: Any) -> None:
+def test_multipath_is_in_no_sigma_and_moves_both_engines_alike(record):
     scene = scene_of(GROUND, (sheet([60, 0, 0], [0, 300, 0], [0, 0, 300]), Material.LEAF))
     _, off = record("off", twin(8.0), scene)
     facts, on = record("on", twin(8.0, multipath_m=0.5), scene)
@@ -211,7 +210,7 @@ def test_multipath_is_in_no_sigma_and_moves_both_engines_alike(record: Any) -> N
 # ---------------------------------------------------------------- single frequency
 
 
-def test_a_single_frequency_track_as_in_p1(record: Any) -> None:
+def test_a_single_frequency_track_as_in_p1(record):
     config = twin(8.0, mode="single_frequency")
     facts, folder = record("single", config)
     pos, rover = read_pos([folder / "ppk.pos"]).positions, read_sbp([folder / "rover.sbp"]).positions

@@ -73,7 +73,7 @@ def assert_equal_but(first: pd.DataFrame, second: pd.DataFrame, *columns: str) -
 
 
 @pytest.fixture(scope="module")
-def plain(tmp_path_factory: pytest.TempPathFactory) -> tuple[Log, dict[str, Any], bytes]:
+def plain(tmp_path_factory):
     return record(tmp_path_factory.mktemp("plain"), twin())
 
 
@@ -82,7 +82,7 @@ def plain(tmp_path_factory: pytest.TempPathFactory) -> tuple[Log, dict[str, Any]
 
 @pytest.mark.parametrize("heading_deg", [0.0, 4.31, 90.0, 200.0, 359.0])
 @pytest.mark.parametrize("field", [(10.0, 0.0, 0.0), (0.0, 10.0, 0.0), (-7.0, 12.0, 30.0)])
-def test_the_heading_error_has_its_closed_form(heading_deg: float, field: tuple[float, ...]) -> None:
+def test_the_heading_error_has_its_closed_form(heading_deg, field):
     """A field d at the angle beta from magnetic north turns it by atan2(d sin b, H + d cos b)."""
     heading = np.deg2rad(heading_deg)
     d = np.hypot(field[0], field[1])
@@ -94,7 +94,7 @@ def test_the_heading_error_has_its_closed_form(heading_deg: float, field: tuple[
     np.testing.assert_allclose(found, expected, atol=1e-12)
 
 
-def test_the_filter_follows_with_its_time_constant() -> None:
+def test_the_filter_follows_with_its_time_constant():
     step = np.concatenate([np.zeros(100), np.ones(400)])
     followed = low_pass(step, 0.02, 2.0)
     t = np.arange(1, 401) * 0.02
@@ -109,7 +109,7 @@ def test_the_filter_follows_with_its_time_constant() -> None:
     np.testing.assert_allclose(magnetic_heading_error_rad(ins, zero, zero, zero, boat), whole / 4, rtol=1e-12)
 
 
-def test_motor_fields_move_heading_and_magnetometer_and_nothing_else(tmp_path: Path, plain: Any) -> None:
+def test_motor_fields_move_heading_and_magnetometer_and_nothing_else(tmp_path, plain):
     config = twin(motor_field_mg=MOTORS, magnetic_time_s=3.0)
     log, facts, _ = record(tmp_path, config)
     before = plain[0]
@@ -136,7 +136,7 @@ def test_motor_fields_move_heading_and_magnetometer_and_nothing_else(tmp_path: P
 # ---------------------------------------------------------------- the errors that the sigmas contain
 
 
-def test_errors_are_correlated_over_their_time() -> None:
+def test_errors_are_correlated_over_their_time():
     """Autocorrelation exp(-lag / time) at half, one and two correlation times, in all three angles."""
     config = twin(attitude_time_s=2.0)
     t = np.arange(60_000) / 50.0
@@ -148,7 +148,7 @@ def test_errors_are_correlated_over_their_time() -> None:
         np.testing.assert_allclose(found, np.exp(-lag_s / 2.0), atol=0.13)
 
 
-def test_the_inss_own_position_has_its_sigmas_and_times(tmp_path: Path) -> None:
+def test_the_inss_own_position_has_its_sigmas_and_times(tmp_path):
     """P1: 0.6 m in plan, 1 m in height; here with a short correlation, so that one log shows it."""
     config = TwinConfig.of_size("tiny", duration_s=25.0, ins={"position_time_s": 0.2})
     simulate_ins(config, SEED, FRAME, tmp_path / "ins.anpp")
@@ -167,7 +167,7 @@ def test_the_inss_own_position_has_its_sigmas_and_times(tmp_path: Path) -> None:
     )
 
 
-def test_the_velocities_have_their_sigma_and_time_two_sided(tmp_path: Path) -> None:
+def test_the_velocities_have_their_sigma_and_time_two_sided(tmp_path):
     """0.05 m/s as published; here with a short correlation, so that one log shows it."""
     config = TwinConfig.of_size("tiny", duration_s=25.0, ins={"velocity_time_s": 0.2})
     simulate_ins(config, SEED, FRAME, tmp_path / "ins.anpp")

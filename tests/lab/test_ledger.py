@@ -4,7 +4,6 @@ campaign."""
 import json
 import re
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -23,7 +22,7 @@ from thalweg_lab.reproduction import (
     read_ledger,
     sentence,
 )
-from thalweg_lab.reproduction.files import Entry, Ours
+from thalweg_lab.reproduction.files import Ours
 from thalweg_lab.reproduction.ledger import (
     ABOVE,
     BELOW,
@@ -57,12 +56,12 @@ NOWHERE = Results.of({}, {}, None)
 
 
 @pytest.fixture(scope="module")
-def ledger(repository: Path) -> tuple[Entry, ...]:
+def ledger(repository):
     return read_ledger(repository / "resources/published/light_sheet.yaml")
 
 
 @pytest.fixture(scope="module")
-def alone(ledger) -> pd.DataFrame:
+def alone(ledger):
     """Without any result: what is computed, and all else named."""
     return judged(ledger, NOWHERE).set_index("name")
 
@@ -89,7 +88,7 @@ sections:
 
 
 @pytest.fixture
-def small(tmp_path: Path) -> tuple[tuple[Entry, ...], Results]:
+def small(tmp_path):
     """Five entries and their results, all of which match."""
     (tmp_path / "ledger.yaml").write_text(ONE)
     pd.DataFrame({"depth_mm": [128.912, 72.7], "std_mm": [0.2, 0.9], "n": [1024, 5]}).to_csv(
@@ -107,14 +106,14 @@ def small(tmp_path: Path) -> tuple[tuple[Entry, ...], Results]:
     return read_ledger(tmp_path / "ledger.yaml"), results
 
 
-def test_every_item_has_a_number(ledger) -> None:
+def test_every_item_has_a_number(ledger):
     found = {row for entry in ledger for row in entry.rows}
     assert set(ROWS) <= found, sorted(set(ROWS) - found)
     assert found <= set(ROWS), sorted(found - set(ROWS))
     assert len({entry.name for entry in ledger}) == len(ledger)
 
 
-def test_each_entry_says_why_and_no_match_is_made_to_fit(ledger) -> None:
+def test_each_entry_says_why_and_no_match_is_made_to_fit(ledger):
     for entry in ledger:
         assert entry.why, entry
         if entry.basis == "printed digits" and entry.tolerance:
@@ -127,7 +126,7 @@ def test_each_entry_says_why_and_no_match_is_made_to_fit(ledger) -> None:
             assert entry.ours.sigma or entry.ours.sigma_of
 
 
-def test_the_small_ledger_matches(small) -> None:
+def test_the_small_ledger_matches(small):
     table = judged(*small)
     assert table["verdict"].tolist() == [BELOW, INPUT, INPUT, REPRODUCED, NOT_REPRODUCIBLE]
     assert {verdict: n for verdict, n in count(table).items() if n} == {
@@ -167,7 +166,7 @@ def test_the_small_ledger_matches(small) -> None:
         ("not checkable", 1.0, 1.0, NOT_REPRODUCIBLE, np.nan),
     ],
 )
-def test_rules(small, rule: str, value, ours, verdict: str, missed_by: float) -> None:
+def test_rules(small, rule, value, ours, verdict, missed_by):
     entry = replace(small[0][1], rule=rule, value=value, half_unit=0.05, put_in="")
     found = verdict_of(entry, Found(value=ours, absent="" if ours is not None else "gone"))
     assert found[0] == verdict
@@ -181,7 +180,7 @@ def numbers(**columns) -> pd.DataFrame:
     return pd.DataFrame(filled | {"put_in": [""] * n, "rule": ["equal"] * n} | columns)
 
 
-def test_a_printed_number_counts_once_with_its_weakest_verdict() -> None:
+def test_a_printed_number_counts_once_with_its_weakest_verdict():
     assert set(WEAKEST_FIRST) == set(VERDICTS)
     table = numbers(
         verdict=[REPRODUCED, NOT_MATCHED, BELOW, BELOW, INPUT, REPRODUCED],
@@ -198,7 +197,7 @@ def test_a_printed_number_counts_once_with_its_weakest_verdict() -> None:
     assert len(distinct(table.assign(printed=list("abcdef")))) == 6
 
 
-def test_counts_and_the_sentence_agree_and_add_up() -> None:
+def test_counts_and_the_sentence_agree_and_add_up():
     """A number that was put in or waits for a run could not fail, even where it is not matched."""
     table = numbers(
         verdict=[
@@ -226,7 +225,7 @@ def test_counts_and_the_sentence_agree_and_add_up() -> None:
     assert n.loc[[COULD_FAIL, FAILED, "below a third of a bound"], "entries"].tolist() == [5, 1, 2]
 
 
-def test_sampling_error_needs_a_sigma(small) -> None:
+def test_sampling_error_needs_a_sigma(small):
     assert verdict_of(small[0][3], Found(value=0.32))[0] == NO_RESULT
     assert judged((replace(small[0][3], ours=replace(small[0][3].ours, sigma="binomial")),), small[1])[
         "reason"
@@ -247,7 +246,7 @@ def test_sampling_error_needs_a_sigma(small) -> None:
         ({"name": "facts.json", "key": ("image", 1, "sigma_px"), "columns": ()}, "no image.1.sigma_px"),
     ],
 )
-def test_what_is_absent_is_named(small, change: dict, told: str) -> None:
+def test_what_is_absent_is_named(small, change, told):
     entry = replace(small[0][0], ours=replace(small[0][0].ours, **change))
     (row,) = judged((entry,), small[1]).to_dict("records")
     assert row["verdict"] == NO_RESULT
@@ -255,13 +254,13 @@ def test_what_is_absent_is_named(small, change: dict, told: str) -> None:
     assert told in markdown(judged((entry,), small[1]), title="x", twin=True)
 
 
-def test_a_campaign_that_is_no_twin_has_no_settings(small) -> None:
+def test_a_campaign_that_is_no_twin_has_no_settings(small):
     results = Results.of({}, {}, None)
     (row,) = judged((small[0][2],), results).to_dict("records")
     assert (row["verdict"], row["reason"]) == (NO_RESULT, "the campaign is no twin")
 
 
-def test_a_damaged_result_is_an_error(small, tmp_path: Path) -> None:
+def test_a_damaged_result_is_an_error(small, tmp_path):
     (tmp_path / "facts.json").write_text("{")
     with pytest.raises(InputError, match=r"facts\.json: cannot be read"):
         judged(*small)
@@ -292,14 +291,14 @@ TAKEN = pd.DataFrame(
         ({"take": "largest", "against_where": {"b": 2.0}}, -0.75),
     ],
 )
-def test_several_numbers_become_one(tmp_path: Path, more: dict, value: float) -> None:
+def test_several_numbers_become_one(tmp_path, more, value):
     TAKEN.to_csv(tmp_path / "t.csv", index=False)
     ours = replace(Ours(source="file", name="t.csv", where={}, near={}, columns=("a",)), **more)
     found = Results.of({"t.csv": tmp_path / "t.csv"}, {}, None).find(ours)
     assert found.value == pytest.approx(value), found
 
 
-def test_sigmas(tmp_path: Path) -> None:
+def test_sigmas(tmp_path):
     TAKEN.to_csv(tmp_path / "t.csv", index=False)
     results = Results.of({"t.csv": tmp_path / "t.csv"}, {}, None)
     ours = Ours(source="file", name="t.csv", where={"b": 1.0}, near={}, columns=("a",))
@@ -359,7 +358,7 @@ def test_sigmas(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_a_bad_ledger_is_told_with_its_line(tmp_path: Path, old: str, new: str, told: str) -> None:
+def test_a_bad_ledger_is_told_with_its_line(tmp_path, old, new, told):
     assert old in ONE
     path = tmp_path / "ledger.yaml"
     path.write_text(ONE.replace(old, new, 1))
@@ -369,7 +368,7 @@ def test_a_bad_ledger_is_told_with_its_line(tmp_path: Path, old: str, new: str, 
     assert re.search(r"line \d+", str(error.value))
 
 
-def test_missing_and_empty_ledgers(tmp_path: Path) -> None:
+def test_missing_and_empty_ledgers(tmp_path):
     with pytest.raises(ConfigError, match="no such file"):
         read_ledger(tmp_path / "none.yaml")
     (tmp_path / "empty.yaml").write_text("")
@@ -377,7 +376,7 @@ def test_missing_and_empty_ledgers(tmp_path: Path) -> None:
         read_ledger(tmp_path / "empty.yaml")
 
 
-def test_an_unknown_function_is_an_error(small) -> None:
+def test_an_unknown_function_is_an_error(small):
     entry = replace(small[0][0], ours=Ours(source="computed", name="magic", where={}, near={}))
     with pytest.raises(InputError, match="magic"):
         judged((entry,), NOWHERE)
@@ -427,13 +426,13 @@ def test_an_unknown_function_is_an_error(small) -> None:
         ("C302 2021", 19.0, 0.1, INPUT),
     ],
 )
-def test_computed_numbers(alone, name: str, ours: float, tolerance: float, verdict: str) -> None:
+def test_computed_numbers(alone, name, ours, tolerance, verdict):
     row = alone.loc[name]
     assert row["ours"] == pytest.approx(ours, abs=tolerance)
     assert row["verdict"] == verdict
 
 
-def test_what_is_shown_says_twin_units_and_amounts(ledger, alone) -> None:
+def test_what_is_shown_says_twin_units_and_amounts(ledger, alone):
     text = markdown(judged(ledger, NOWHERE), title="Basin", twin=True)
     assert "**digital twin**" in text
     assert "not matched: off by +0.102 mm" in text

@@ -12,11 +12,10 @@ import pandas as pd
 import pytest
 import velodyne_decoder
 
-from tests.lab.conftest import ELEVATION, OFFSET_MM, SEED, Recorder, rays_of
+from tests.lab.conftest import ELEVATION, OFFSET_MM, SEED, rays_of
 from thalweg.core import gps_from_unix, read_table
 from thalweg_lab.instruments import LIDAR_SHOTS
 from thalweg_lab.instruments.lidar import beams
-from thalweg_lab.river import Scene
 from thalweg_lab.voyage import Voyage
 
 SHARP: dict[str, Any] = {"divergence_mrad": 0.0, "mirror_ghosts": False, "own_hull": False}
@@ -85,7 +84,7 @@ def rays(table: pd.DataFrame, voyage: Voyage, mount: tuple[np.ndarray, np.ndarra
     return rays_of(voyage, table["t_gps_s"].to_numpy(), table["azimuth"].to_numpy(), laser, mount)
 
 
-def test_beams_agree_with_the_pose_at_each_shots_own_time(twin: Any, mount: Any) -> None:
+def test_beams_agree_with_the_pose_at_each_shots_own_time(twin, mount):
     rng = np.random.default_rng(4)
     t = np.sort(rng.uniform(0, 4, 60))
     azimuth = rng.uniform(0, 2 * np.pi, (60, 16))
@@ -104,7 +103,7 @@ def test_beams_agree_with_the_pose_at_each_shots_own_time(twin: Any, mount: Any)
     np.testing.assert_allclose(made.direction_wcs.reshape(-1, 3), direction, atol=5e-8)
 
 
-def test_without_noise_points_lie_on_the_surface(record: Recorder, scene: Scene, mount: Any) -> None:
+def test_without_noise_points_lie_on_the_surface(record, scene, mount):
     quiet = {"sigma_range_m": 0.0, "sigma_lateral_m": 0.0, "sigma_weak_m": 0.0}
     path, _, config = record("clean", lidar={**SHARP, **quiet}, duration_s=1.5)
     table, true, material = matched(path)
@@ -120,7 +119,7 @@ def test_without_noise_points_lie_on_the_surface(record: Recorder, scene: Scene,
     assert np.mean(material == scene.material[hits.primitive]) > 0.99
 
 
-def test_range_noise_follows_the_intensity_two_sided(record: Recorder, mount: Any) -> None:
+def test_range_noise_follows_the_intensity_two_sided(record, mount):
     """The processing predicts the noise from the reflectivity byte, which must be the power that made it."""
     path, _, config = record(
         "range noise", lidar={**SHARP, "sigma_lateral_m": 0.0, "sigma_weak_m": 0.5}, duration_s=2.0
@@ -141,7 +140,7 @@ def test_range_noise_follows_the_intensity_two_sided(record: Recorder, mount: An
     assert abs(np.mean(residual / sigma)) < 4 / n**0.5 + 0.005
 
 
-def test_time_past_the_hour_is_utc_and_rolls_over(twin: Any) -> None:
+def test_time_past_the_hour_is_utc_and_rolls_over(twin):
     data, position = read_capture(twin.path("lidar.pcap"))
     toh = np.array([int.from_bytes(p[1200:1204], "little") for p in data])
     assert toh[0] == 3_598_250_000
@@ -161,7 +160,7 @@ def test_time_past_the_hour_is_utc_and_rolls_over(twin: Any) -> None:
     assert 1.0 < max(lags) < 1.2
 
 
-def test_a_late_pps_leaves_a_free_clock_before_it(record: Recorder) -> None:
+def test_a_late_pps_leaves_a_free_clock_before_it(record):
     path, facts, _ = record("late", lidar=SHARP, effects={"pps_late_s": 1.5}, duration_s=2.0)
     data, position = read_capture(path)
     toh = np.array([int.from_bytes(p[1200:1204], "little") for p in data])
@@ -177,7 +176,7 @@ def test_a_late_pps_leaves_a_free_clock_before_it(record: Recorder) -> None:
     assert facts["pps_locked_after_s"] == 1.5
 
 
-def test_losses_copies_and_swaps_are_those_reported(record: Recorder) -> None:
+def test_losses_copies_and_swaps_are_those_reported(record):
     path, facts, _ = record(
         "defects",
         lidar=SHARP,
@@ -201,7 +200,7 @@ def json_of(path: Path) -> dict[str, Any]:
     return dict(json.loads(path.with_suffix(".json").read_text()))
 
 
-def test_dual_returns_are_pairs_of_blocks(record: Recorder) -> None:
+def test_dual_returns_are_pairs_of_blocks(record):
     path, _, _ = record("dual", lidar={"returns": "dual"}, duration_s=1.0)
     packets = np.frombuffer(b"".join(read_capture(path)[0]), dtype=np.uint8).reshape(-1, 1206)
     assert set(packets[:, 1204]) == {0x39}
@@ -222,7 +221,7 @@ def test_dual_returns_are_pairs_of_blocks(record: Recorder) -> None:
     assert np.sum(truth["return_number"] == 1) == np.sum(last > 0)
 
 
-def test_velodyne_decoder_reads_the_same_points(twin: Any) -> None:
+def test_velodyne_decoder_reads_the_same_points(twin):
     table = decode(read_capture(twin.path("lidar.pcap"))[0])
     clouds = [c for _, c in velodyne_decoder.read_pcap(str(twin.path("lidar.pcap")), as_pcl_structs=True)]
     cloud = np.concatenate(clouds)
@@ -238,7 +237,7 @@ def test_velodyne_decoder_reads_the_same_points(twin: Any) -> None:
     np.testing.assert_allclose(np.sort(ranges), np.sort(table["range_m"]), atol=1e-4)
 
 
-def test_the_capture_stamps_packets_late_and_in_order(record: Recorder) -> None:
+def test_the_capture_stamps_packets_late_and_in_order(record):
     def stamps(name: str, delay_s: float, **more: Any) -> tuple[np.ndarray, list[bytes]]:
         path, _, _ = record(
             name, lidar={**SHARP, "nanoseconds": True, "host_delay_s": delay_s}, duration_s=2.0, **more
@@ -260,7 +259,7 @@ def test_the_capture_stamps_packets_late_and_in_order(record: Recorder) -> None:
     assert abs(np.corrcoef(delay[1:], delay[:-1])[0, 1]) < 0.2
 
 
-def test_tshark_dissects_every_frame(twin: Any) -> None:
+def test_tshark_dissects_every_frame(twin):
     program = shutil.which("tshark")
     if program is None:
         pytest.skip("tshark is not on the PATH: apt-get install tshark")

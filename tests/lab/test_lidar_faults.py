@@ -9,10 +9,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from tests.lab.conftest import SEED, Recorder, Twin, rays_of, record_lidar, short
+from tests.lab.conftest import SEED, rays_of, record_lidar, short
 from thalweg.core import read_table
 from thalweg_lab.instruments import LIDAR_SHOTS, EchoKind
-from thalweg_lab.river import Material, Scene
+from thalweg_lab.river import Material
 from thalweg_lab.river.waves import Waves
 from thalweg_lab.settings import TwinConfig
 from thalweg_lab.voyage import Voyage, start_gps_s
@@ -80,13 +80,13 @@ LENGTH_S = 0.6
 
 
 @pytest.fixture(scope="module")
-def all_faults(twin: Twin, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Recording]:
+def all_faults(twin, tmp_path_factory):
     """A recording with all faults, and its capture."""
     path, config = tmp_path_factory.mktemp("faults") / "all.pcap", short(duration_s=LENGTH_S)
     return path, read(path, record_lidar(twin.scene, path, config), config)
 
 
-def test_each_fault_can_be_switched_off_alone(record: Recorder, all_faults: tuple[Path, Recording]) -> None:
+def test_each_fault_can_be_switched_off_alone(record, all_faults):
     """Random numbers of one effect do not shift those of another, and each effect changes what it should."""
     found = {name: read(*record(name, lidar=change, duration_s=LENGTH_S)) for name, change in OFF.items()}
     full = all_faults[1]
@@ -135,7 +135,7 @@ def test_each_fault_can_be_switched_off_alone(record: Recorder, all_faults: tupl
     )
 
 
-def test_ghosts_are_mirror_images_below_the_water(record: Recorder, scene: Scene, mount: Any) -> None:
+def test_ghosts_are_mirror_images_below_the_water(record, scene, mount):
     for slope in (0.0, 0.03):
         settings = {**QUIET, "divergence_mrad": 0.0, "wave_slope": slope}
         recording = read(*record(f"slope {slope}", lidar=settings, duration_s=1.0))
@@ -161,7 +161,7 @@ def test_ghosts_are_mirror_images_below_the_water(record: Recorder, scene: Scene
         assert slope > 0 or np.max(off) < 1.75e-4 + 0.001 / 4
 
 
-def test_returns_of_the_own_boat_lie_on_it(all_faults: tuple[Path, Recording]) -> None:
+def test_returns_of_the_own_boat_lie_on_it(all_faults):
     recording = all_faults[1]
     boat = recording.truth[recording.truth["kind"] == EchoKind.HULL]
     voyage, t = Voyage(recording.config, SEED), boat["t_gps_s"].to_numpy()
@@ -181,9 +181,7 @@ def test_returns_of_the_own_boat_lie_on_it(all_faults: tuple[Path, Recording]) -
     assert len(water[water["kind"] == EchoKind.SURFACE]) < 0.05 * len(boat)
 
 
-def test_pieces_of_any_size_give_the_same_log(
-    record: Recorder, all_faults: tuple[Path, Recording], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_pieces_of_any_size_give_the_same_log(record, all_faults, monkeypatch):
     monkeypatch.setattr("thalweg_lab.instruments.lidar._CHUNK", 100)
     second, _, _ = record("small pieces", duration_s=LENGTH_S)
     assert all_faults[0].read_bytes() == second.read_bytes()

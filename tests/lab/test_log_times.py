@@ -76,7 +76,7 @@ def start_of(config: TwinConfig) -> float:
 
 
 @pytest.mark.parametrize("what", STARTS)
-def test_the_readers_find_an_even_axis(what: str, tmp_path: Path) -> None:
+def test_the_readers_find_an_even_axis(what, tmp_path):
     config = twin(STARTS[what])
     start = start_of(config)
     tables = record(tmp_path, config)
@@ -98,7 +98,7 @@ def test_the_readers_find_an_even_axis(what: str, tmp_path: Path) -> None:
         assert np.abs(place - voyage.sensor_wcs_m(table["t_gps_s"].to_numpy(), lever)).max() < limit_m
 
 
-def test_depths_without_dates_over_midnight(tmp_path: Path) -> None:
+def test_depths_without_dates_over_midnight(tmp_path):
     """No RMC and no ZDA: the hour comes from GGA, once a second, the date of the first line from outside."""
     config = twin(STARTS["UTC day"])
     record(tmp_path, config)
@@ -114,7 +114,7 @@ def test_depths_without_dates_over_midnight(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("what", ["UTC day", "GPS week", "hour"])
-def test_the_lidars_hour(what: str, record: Callable[..., Any]) -> None:
+def test_the_lidars_hour(what, record):
     """Microseconds past the hour and RMC: the same axis to the microsecond of the packets."""
     start = STARTS[what].replace("39.25", "40.25").replace("57.25", "58.25")
     path, facts, config = record("rollover", start_utc=start, duration_s=2.0, lidar={"divergence_mrad": 0.0})
@@ -139,7 +139,7 @@ def test_the_lidars_hour(what: str, record: Callable[..., Any]) -> None:
     "start",
     ["2016-12-31T23:59:57Z", "2016-12-31T23:59:52.5Z", "2017-01-01T00:00:01.5Z"],
 )
-def test_a_leap_second_inside_a_recording_is_refused(start: str, tmp_path: Path) -> None:
+def test_a_leap_second_inside_a_recording_is_refused(start, tmp_path):
     config = twin(start)
     makers: list[Callable[[], object]] = [
         lambda: simulate_ins(config, SEED, FRAME, tmp_path / "ins.anpp"),
@@ -164,7 +164,7 @@ def rows(table: pd.DataFrame) -> set[tuple[Any, ...]]:
     return set(table.drop(columns=["line"], errors="ignore").round(9).itertuples(index=False, name=None))
 
 
-def test_what_survives_damage_is_unchanged(tmp_path: Path) -> None:
+def test_what_survives_damage_is_unchanged(tmp_path):
     """Replaced bytes and a cut end over a week rollover: records are lost and told, none is false."""
     clean = record(tmp_path / "clean", twin(STARTS["GPS week"]))
     damaged_config = twin(
@@ -187,7 +187,7 @@ def test_what_survives_damage_is_unchanged(tmp_path: Path) -> None:
         assert sum(report.losses.values()) > 0, report.stream
 
 
-def test_states_before_the_ins_knows_utc_have_no_gps_time(tmp_path: Path) -> None:
+def test_states_before_the_ins_knows_utc_have_no_gps_time(tmp_path):
     config = twin(STARTS["GPS week"], effects={"ins_clock_late_s": 1.5})
     simulate_ins(config, SEED, FRAME, tmp_path / "ins.anpp")
     states = read_anpp([tmp_path / "ins.anpp"]).states

@@ -33,7 +33,7 @@ from thalweg_lab.instruments import (
     stated_sigmas_m,
     velocity_errors_mps,
 )
-from thalweg_lab.river import Material, Scene
+from thalweg_lab.river import Material
 from thalweg_lab.settings import TwinConfig
 from thalweg_lab.voyage import Voyage, epochs
 
@@ -89,7 +89,7 @@ def ins_table(path: Path) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=names)
 
 
-def test_the_ins_log_is_read_by_the_manufacturers_sdk(twin: Any) -> None:
+def test_the_ins_log_is_read_by_the_manufacturers_sdk(twin):
     path = twin.path("ins.anpp")
     packets = sdk_packets(path)
     assert b"".join(raw for _, raw in packets) == path.read_bytes(), "no byte outside of packets"
@@ -104,7 +104,7 @@ def test_the_ins_log_is_read_by_the_manufacturers_sdk(twin: Any) -> None:
     np.testing.assert_allclose(sigma.standard_deviation, np.deg2rad([0.1, 0.1, 0.2]), rtol=1e-6)
 
 
-def test_the_ins_states_are_the_true_pose_with_the_drawn_errors(twin: Any) -> None:
+def test_the_ins_states_are_the_true_pose_with_the_drawn_errors(twin):
     table = ins_table(twin.path("ins.anpp"))
     t = epochs(twin.config, 50.0)
     np.testing.assert_allclose(table["t"], t, atol=1.2e-7)
@@ -125,7 +125,7 @@ def test_the_ins_states_are_the_true_pose_with_the_drawn_errors(twin: Any) -> No
     assert 0.05 < np.sqrt(np.mean(off**2)) < 3.0, "single-frequency positions"
 
 
-def test_attitude_errors_have_their_sigmas_two_sided() -> None:
+def test_attitude_errors_have_their_sigmas_two_sided():
     config = TwinConfig.of_size("tiny", ins={"attitude_time_s": 0.2})
     found = np.concatenate(
         [attitude_errors_rad(config, seed, epochs(config, 50.0), 0.0) for seed in range(40)]
@@ -140,7 +140,7 @@ def test_attitude_errors_have_their_sigmas_two_sided() -> None:
     np.testing.assert_allclose(np.rad2deg(drift[-1]), [0, 0, 2.9], atol=1e-6)
 
 
-def test_an_ins_without_utc_counts_from_1970(twin: Any, tmp_path: Path) -> None:
+def test_an_ins_without_utc_counts_from_1970(twin, tmp_path):
     config = twin.config.model_copy(
         update={"effects": twin.config.effects.model_copy(update={"ins_clock_late_s": 1.0})}
     )
@@ -226,7 +226,7 @@ os._exit(0)
 """
 
 
-def test_rtklib_itself_reads_the_track(twin: Any) -> None:
+def test_rtklib_itself_reads_the_track(twin):
     """RTKLIB's readsol in a process of its own (C code): epochs, fix, satellites, position, variances."""
     run = subprocess.run(
         [sys.executable, "-c", READSOL, str(twin.path("ppk.pos"))], capture_output=True, text=True, check=True
@@ -243,7 +243,7 @@ def test_rtklib_itself_reads_the_track(twin: Any) -> None:
     np.testing.assert_allclose(ecef_trace, (table[["sdn", "sde", "sdu"]] ** 2).sum(axis=1), rtol=1e-3)
 
 
-def test_positions_are_the_antennas_with_the_drawn_errors(twin: Any) -> None:
+def test_positions_are_the_antennas_with_the_drawn_errors(twin):
     n = 80
     table = read_pos(twin.path("ppk.pos"))
     assert len(table) == n == twin.facts["gnss"]["epochs_written"]
@@ -257,7 +257,7 @@ def test_positions_are_the_antennas_with_the_drawn_errors(twin: Any) -> None:
     np.testing.assert_allclose(table[["sdn", "sde", "sdu"]], [[0.02, 0.02, 0.03]] * n)
 
 
-def test_the_sbp_log_is_read_by_swifts_library(twin: Any) -> None:
+def test_the_sbp_log_is_read_by_swifts_library(twin):
     path = twin.path("rover.sbp")
     messages = sbp_messages(path)
     assert sum(len(m.to_binary()) for m in messages) == path.stat().st_size, "no byte outside of messages"
@@ -286,14 +286,14 @@ def test_the_sbp_log_is_read_by_swifts_library(twin: Any) -> None:
     assert {m.flags for m in pos} == {4}
 
 
-def test_antenna_errors_have_their_sigmas_two_sided() -> None:
+def test_antenna_errors_have_their_sigmas_two_sided():
     config = TwinConfig.of_size("tiny", gnss={"correlation_time_s": 0.5})
     found = np.concatenate([fixed_errors(config, seed, "ppk", 300) for seed in range(60)])
     # 18,000 values, 10 of them correlated: sigma known to 1.7 %.
     np.testing.assert_allclose(found.std(axis=0), [0.02, 0.02, 0.03], rtol=0.07)
 
 
-def test_outages_and_float_solutions(tmp_path: Path) -> None:
+def test_outages_and_float_solutions(tmp_path):
     config = TwinConfig.of_size("tiny", effects={"gnss_outages": [[5, 3]], "gnss_floats": [[10, 4]]})
     facts = simulate_gnss(
         config, SEED, FRAME, tmp_path / "a.sbp", tmp_path / "a.pos", lever_ics_antenna_m=ANTENNA_M
@@ -308,7 +308,7 @@ def test_outages_and_float_solutions(tmp_path: Path) -> None:
     assert modes == {3, 4}
 
 
-def test_the_depth_log_is_read_by_pynmeagps(twin: Any, scene: Scene) -> None:
+def test_the_depth_log_is_read_by_pynmeagps(twin, scene):
     with twin.path("echo.nmea").open("rb") as file:
         parsed = [message for _, message in NMEAReader(file, quitonerror=2)]
     kinds = pd.Series([m.msgID for m in parsed]).value_counts().to_dict()
@@ -335,11 +335,11 @@ def test_the_depth_log_is_read_by_pynmeagps(twin: Any, scene: Scene) -> None:
         (59.99999999999, "6000.0000000,N,01315.0000000,E"),
     ],
 )
-def test_minutes_never_print_as_sixty(value: float, text: str) -> None:
+def test_minutes_never_print_as_sixty(value, text):
     assert text in writers.rmc(1620809998_500000, value, 13.25, 1.0, -10.0)
 
 
-def test_scans_lie_on_the_surface_within_their_noise(twin: Any, scene: Scene) -> None:
+def test_scans_lie_on_the_surface_within_their_noise(twin, scene):
     crs = CRS.from_epsg(25833)
     caster = scene.without(Material.WATER).caster()
     for number, facts in enumerate(twin.facts["tls"]["stations"], start=1):
@@ -433,7 +433,7 @@ def of_library(modules: Iterable[Path], package: Path) -> set[str]:
     return {name.as_posix() for name in names if name.parts[0] != "settings"}
 
 
-def test_the_twin_shares_no_code_with_the_processing(repository: Path) -> None:
+def test_the_twin_shares_no_code_with_the_processing(repository):
     """But for what is named above, module by module; a name that is not used any more has to go."""
     package = repository / "src" / "thalweg"
     # studies and comparisons with the truth process by design

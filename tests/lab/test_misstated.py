@@ -13,7 +13,7 @@ OTHER = TwinConfig.of_size("tiny", effects={"misstated": True})
 SEED = 4
 
 
-def test_each_quantity_has_its_factor_and_nothing_else_changes() -> None:
+def test_each_quantity_has_its_factor_and_nothing_else_changes():
     found, by = as_it_errs(OTHER, SEED), factors(OTHER, SEED)
     assert found.ins.sigma_roll_deg == pytest.approx(by["level"] * OTHER.ins.sigma_roll_deg)
     assert found.ins.sigma_heading_deg == pytest.approx(by["heading"] * OTHER.ins.sigma_heading_deg)
@@ -31,7 +31,7 @@ def test_each_quantity_has_its_factor_and_nothing_else_changes() -> None:
     assert changed == {(section, key) for section, keys in QUANTITIES.values() for key in keys}
 
 
-def test_errors_have_the_true_sizes_and_logs_the_stated_ones() -> None:
+def test_errors_have_the_true_sizes_and_logs_the_stated_ones():
     """Sizes of a long recording, to 10 %: as the factors say, beside the errors of a known twin."""
     by, n = factors(OTHER, SEED), 100_000
     t = np.arange(n) / OTHER.ins.rate_hz

@@ -18,7 +18,7 @@ from thalweg_lab.reproduction.paper_models import (
 UP = np.array([0.0, 0.0, 1.0])
 
 
-def test_the_printed_law_is_wrong() -> None:
+def test_the_printed_law_is_wrong():
     """E02: printed vectors at 30, 45, 60 degrees from air to glass are too long; 20.5 for 22.0 degrees in
     water."""
     for degrees, excess in ((30, 0.056), (45, 0.120), (60, 0.197)):
@@ -33,7 +33,7 @@ def test_the_printed_law_is_wrong() -> None:
     assert np.isfinite(refract_as_printed([[math.sin(1.2), 0.0, -math.cos(1.2)]], UP, 1.52, 1.0)).all()
 
 
-def test_the_papers_halving_loses_pixels() -> None:
+def test_the_papers_halving_loses_pixels():
     """At any threshold: some 0.3 % of the pixels and 0.12 mm; a distance between the rays is left."""
     sensor = paper_4()
     xy = np.random.default_rng(1).uniform(0.0, 2048.0, (40_000, 2))
@@ -48,12 +48,12 @@ def test_the_papers_halving_loses_pixels() -> None:
         assert error[~bad].max() < 3 * threshold
 
 
-def test_the_sheet_is_no_plane() -> None:
+def test_the_sheet_is_no_plane():
     """P4 2: the study found errors from -5.5 to 3.4 mm in depth."""
     assert plane_error_mm(paper_4(), (40.0, 80.0, 125.0, 170.0, 220.0)) == pytest.approx(5.5, abs=0.8)
 
 
-def test_boat_poses_spoil_what_a_panel_keeps() -> None:
+def test_boat_poses_spoil_what_a_panel_keeps():
     """P4 4.2.1: 0.1 degrees and 2 cm would deteriorate the sub-mm accuracy of each line (C076)."""
     table = pose_source_table(paper_4()).set_index(["source", "depth_mm"])
     six, boat_ = table.loc["6-DOF by marker panel"], table.loc["INS and RTK"]

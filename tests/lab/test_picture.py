@@ -60,7 +60,7 @@ def seen(
 # ---------------------------------------------------------------- camera
 
 
-def test_a_known_board_appears_where_the_camera_says() -> None:
+def test_a_known_board_appears_where_the_camera_says():
     board = quad([[-1.0, 10.0, 4.0], [1.0, 10.0, 4.0], [1.0, 10.0, 5.0], [-1.0, 10.0, 5.0]])
     lens, pose = camera(200.0, (160, 120)), looking(np.array([0.5, 0.0, 3.0]), np.array([0.7, 10.0, 4.0]))
     empty = quad([[-1.0, -10.0, 4.0], [1.0, -10.0, 4.0], [1.0, -10.0, 5.0], [-1.0, -10.0, 5.0]])
@@ -83,7 +83,7 @@ def test_a_known_board_appears_where_the_camera_says() -> None:
 # ---------------------------------------------------------------- light
 
 
-def test_a_lid_casts_a_shadow_where_the_sun_says() -> None:
+def test_a_lid_casts_a_shadow_where_the_sun_says():
     world = World(made((GROUND, Material.CONCRETE), (LID, Material.WALL)), None, NOON)
     # Sun from the south at 60 degrees, lid 3 m up: its shadow is moved north by 3 / tan 60.
     shift = 3.0 / np.tan(np.deg2rad(60.0))
@@ -93,7 +93,7 @@ def test_a_lid_casts_a_shadow_where_the_sun_says() -> None:
     assert world.sunlit(ground, up).tolist() == [0, 0, 0, 1, 1, 1]
 
 
-def test_the_sun_stands_where_almanacs_say() -> None:
+def test_the_sun_stands_where_almanacs_say():
     # Greenwich, summer solstice 2021, true noon about 12:02 UTC: elevation 90 - 51.48 + 23.44.
     noon_s = dt.datetime(2021, 6, 21, 12, 2, tzinfo=dt.UTC).timestamp()
     noon = Sun.at(noon_s, 51.48, 0.0)
@@ -113,7 +113,7 @@ def test_the_sun_stands_where_almanacs_say() -> None:
 # ---------------------------------------------------------------- water
 
 
-def test_calm_water_mirrors_a_board_and_waves_blur_the_mirror() -> None:
+def test_calm_water_mirrors_a_board_and_waves_blur_the_mirror():
     board = quad([[-30.0, 20.0, -1.0], [30.0, 20.0, -1.0], [30.0, 20.0, 6.0], [-30.0, 20.0, 6.0]])
     scene, lens = made((board, Material.ROOF)), camera(120.0, (120, 100))
     pose = looking(np.array([0.0, 0.0, 2.0]), np.array([0.0, 20.0, 1.0]))

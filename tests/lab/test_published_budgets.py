@@ -2,13 +2,11 @@
 
 import re
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
 
-from thalweg.budgets import Budget, influences, read_budget, rmse_mm, totals_mm
+from thalweg.budgets import influences, read_budget, rmse_mm, totals_mm
 from thalweg.core import InputError
 from thalweg_lab.reproduction.budget_page import (
     ball_coverage,
@@ -32,7 +30,7 @@ from thalweg_lab.reproduction.published_budgets import (
 
 
 @pytest.fixture(scope="module")
-def budgets(repository: Path) -> dict[str, tuple[Budget, pd.DataFrame]]:
+def budgets(repository):
     folder = repository / "resources"
     return {
         path.stem: (read_budget(path), read_published(folder / f"published/{path.stem}.csv"))
@@ -51,7 +49,7 @@ T = """7 14 35 70; 7 14 35 71; 14 28 71 143; 20 20 20 20; 20 20 20 20; 30 30 30 
 
 
 @pytest.mark.parametrize(("name", "text", "cells"), [("p2_table1", P2, 64), ("t_table3_1", T, 60)])
-def test_the_published_cells_are_those_of_the_papers(budgets, name: str, text: str, cells: int) -> None:
+def test_the_published_cells_are_those_of_the_papers(budgets, name, text, cells):
     table = budgets[name][1]
     assert table["printed"].tolist() == text.replace(";", " ").split()
     assert len(table) == cells + 4
@@ -64,7 +62,7 @@ def test_the_published_cells_are_those_of_the_papers(budgets, name: str, text: s
     )
 
 
-def test_every_cell_of_both_tables_is_met(budgets) -> None:
+def test_every_cell_of_both_tables_is_met(budgets):
     p2 = verdicts(*budgets["p2_table1"])
     assert p2["met"].value_counts().to_dict() == {MATCHED: 64, BY_SIGMA: 4}
     rounded = p2[p2["met"] == BY_SIGMA]
@@ -82,7 +80,7 @@ def test_every_cell_of_both_tables_is_met(budgets) -> None:
         assert set(table[table["input"] == "total"]["met"]) == {MATCHED}
 
 
-def test_what_a_met_cell_is_worth(budgets) -> None:
+def test_what_a_met_cell_is_worth(budgets):
     """Nine translations at four distances are the sigma itself; the mount's kappa needs no fitted angle."""
     for name, cells, fitted in (("p2_table1", 68, 28), ("t_table3_1", 64, 24)):
         budget, published = budgets[name]
@@ -102,7 +100,7 @@ def test_what_a_met_cell_is_worth(budgets) -> None:
         assert (known["met"] == table["met"]).all()
 
 
-def test_kappa_of_the_mount_does_not_depend_on_the_geometry(budgets) -> None:
+def test_kappa_of_the_mount_does_not_depend_on_the_geometry(budgets):
     """``sqrt(2/3) D sigma``: 0.015 degrees cannot give 10.5 mm at 50 m, 0.0147 does."""
     rows = influences(budgets["p2_table1"][0]).set_index(["input", "distance_m"])["influence_mm"]
     exact = 50_000 * np.sqrt(2 / 3) * np.deg2rad(0.015)
@@ -111,7 +109,7 @@ def test_kappa_of_the_mount_does_not_depend_on_the_geometry(budgets) -> None:
     assert exact * 0.0147 / 0.015 == pytest.approx(10.5, abs=0.05)
 
 
-def test_a_wrong_sigma_is_noticed(budgets) -> None:
+def test_a_wrong_sigma_is_noticed(budgets):
     """The verdict for a rounded sigma is no way out for any row: 20 % off is a miss."""
     budget, published = budgets["p2_table1"]
     wrong = published.copy()
@@ -124,7 +122,7 @@ def test_a_wrong_sigma_is_noticed(budgets) -> None:
     assert (verdicts(budget, wrong).loc[row, "met"] == MISSED).any()
 
 
-def test_a_trigger_buys_what_it_buys(budgets) -> None:
+def test_a_trigger_buys_what_it_buys(budgets):
     """33/37/57/100 mm without the row of time, 33/37/60/108 mm with 4 ms."""
     for name, expected in (("p2_perfect_trigger", [33, 37, 57, 100]), ("p2_trigger_4ms", [33, 37, 60, 108])):
         budget, published = budgets[name]
@@ -142,7 +140,7 @@ def test_a_trigger_buys_what_it_buys(budgets) -> None:
     )
 
 
-def test_ranking_statements_at_every_distance(budgets) -> None:
+def test_ranking_statements_at_every_distance(budgets):
     camera, ins = budgets["p2_table1"][0], budgets["t_table3_1"][0]
     angular, time, heading, better = statements(camera, ins)
     assert time.verdict == "holds"
@@ -155,14 +153,14 @@ def test_ranking_statements_at_every_distance(budgets) -> None:
     assert better.verdict == "holds at 25, 50 m only"
 
 
-def test_do_the_printed_tables_add_up(budgets) -> None:
+def test_do_the_printed_tables_add_up(budgets):
     assert own_totals(budgets["p2_table1"][1])["agrees"].all()
     t = own_totals(budgets["t_table3_1"][1])
     assert t["agrees"].tolist() == [True, False, True, False]
     assert t["from_cells_mm"].round(1).tolist() == [53.5, 61.3, 100.6, 182.2]
 
 
-def test_one_two_three_sigma(budgets) -> None:
+def test_one_two_three_sigma(budgets):
     """T 3.1.2: 68, 95, 99.7 % - of one component; of the 3D total other shares."""
     table = coverages(budgets["t_table3_1"][0], [5, 10, 25, 50])
     one = table.groupby("k")["one_component"].first()
@@ -173,7 +171,7 @@ def test_one_two_three_sigma(budgets) -> None:
     assert (ball.loc[3] > 0.997).all()
 
 
-def test_budgets_without_a_table(budgets) -> None:
+def test_budgets_without_a_table(budgets):
     for name in ("sajo_2019", "sajo_2021"):
         budget, published = budgets[name]
         assert set(verdicts(budget, published)["verdict"]) == {BY_CHOICE}
@@ -184,7 +182,7 @@ def test_budgets_without_a_table(budgets) -> None:
     assert verdicts(*budgets["p1_direct_one_sigma"])["verdict"].tolist() == [MISSED]
 
 
-def test_a_table_of_another_budget(budgets) -> None:
+def test_a_table_of_another_budget(budgets):
     with pytest.raises(InputError, match=r"row 'ics\.omega'"):
         verdicts(budgets["p2_table1"][0], budgets["t_table3_1"][1])
     other = budgets["p2_table1"][1].assign(sigma_printed="0.5")
@@ -192,7 +190,7 @@ def test_a_table_of_another_budget(budgets) -> None:
         verdicts(budgets["p2_table1"][0], other)
 
 
-def test_a_ball_of_the_total(rng: np.random.Generator) -> None:
+def test_a_ball_of_the_total(rng):
     same, line = np.eye(3)[None], np.diag([1.0, 0, 0])[None]
     # chi-square with 3 degrees of freedom at 3; the normal distribution at 1
     assert ball_coverage(same, [np.sqrt(3)])[0] == pytest.approx(0.608375, abs=1e-6)
@@ -205,7 +203,7 @@ def test_a_ball_of_the_total(rng: np.random.Generator) -> None:
         assert ball_coverage(C[None], [radius])[0] == pytest.approx(share, abs=0.0032)
 
 
-def test_the_page_has_every_cell_with_its_verdict(budgets) -> None:
+def test_the_page_has_every_cell_with_its_verdict(budgets):
     whole = ("p2_table1", "t_table3_1")
     text = page(budgets, camera=whole[0], ins=whole[1], worth="72 of 132.")
     for name in whole:
@@ -226,7 +224,7 @@ def test_the_page_has_every_cell_with_its_verdict(budgets) -> None:
     assert f"{unknown} of {len(later.inputs)} sigmas are not published for this system." in text
 
 
-def test_what_the_cells_tell_is_counted(budgets) -> None:
+def test_what_the_cells_tell_is_counted(budgets):
     text = what_the_cells_tell([budgets["p2_table1"], budgets["t_table3_1"]])
     assert "Of 132 cells and totals 126 are met within 1 %" in text
     assert "6 more within the rounding" in text

@@ -71,7 +71,7 @@ WALL = quad(np.array([-50.0, 0, -50]), np.array([100.0, 0, 0]), np.array([0, 0, 
 
 
 @pytest.mark.parametrize(("cells", "range_m"), [(1, 30.0), (3, 30.0), (3, 8.0), (8, 30.0)])
-def test_echoes_scatter_in_the_footprint_as_stated(cells: int, range_m: float) -> None:
+def test_echoes_scatter_in_the_footprint_as_stated(cells, range_m):
     incidence = np.deg2rad(60.0)
     direction = np.array([np.sin(incidence), np.cos(incidence), 0.0])
     origin = -range_m * direction
@@ -106,7 +106,7 @@ def edge(gap_m: float) -> Surfaces:
 AHEAD, HERE = np.array([0.0, 1, 0]), np.zeros(3)
 
 
-def test_mixed_pixels_lie_between_the_two_surfaces_of_an_edge() -> None:
+def test_mixed_pixels_lie_between_the_two_surfaces_of_an_edge():
     found, met = look(edge(0.6), beam(3), 20_000, AHEAD, HERE)
     assert len(met) == 20_000
     assert not found.there[:, 1:].any()
@@ -130,7 +130,7 @@ def test_mixed_pixels_lie_between_the_two_surfaces_of_an_edge() -> None:
     assert np.mean((two > 20.3) == (r > 20.3)) > 0.9
 
 
-def test_surfaces_beyond_a_pulse_length_give_echoes_of_their_own() -> None:
+def test_surfaces_beyond_a_pulse_length_give_echoes_of_their_own():
     found, _ = look(edge(1.5), beam(3), 20_000, AHEAD, HERE)
     two = found.there[:, 1]
     assert np.mean(two) == pytest.approx(0.75, abs=0.015)
@@ -143,7 +143,7 @@ def test_surfaces_beyond_a_pulse_length_give_echoes_of_their_own() -> None:
     assert not found.kind.any()
 
 
-def test_a_twig_returns_the_share_of_shots_that_it_fills() -> None:
+def test_a_twig_returns_the_share_of_shots_that_it_fills():
     # 8 mm in a footprint of 60 mm at 20 m: the share of the disc between two chords.
     twig = surfaces(
         quad(np.array([-0.004, 20, -5]), np.array([0.008, 0, 0]), np.array([0, 0, 10.0])),
@@ -159,7 +159,7 @@ def test_a_twig_returns_the_share_of_shots_that_it_fills() -> None:
     assert np.mean(found.strength[:, 0]) == pytest.approx(mean, rel=0.02)
 
 
-def test_wet_ground_is_darker_and_water_gives_no_echo() -> None:
+def test_wet_ground_is_darker_and_water_gives_no_echo():
     ground = quad(np.array([-5.0, 20, -5]), np.array([10.0, 0, 0]), np.array([0, 0, 10.0]))
     dry = surfaces(ground, material=(Material.STONE,))
     wet = surfaces(ground, material=(Material.STONE,), level_m=0.0)
@@ -182,7 +182,7 @@ def test_wet_ground_is_darker_and_water_gives_no_echo() -> None:
     assert np.mean(found.strength[on_ground, 0]) < 0.8 * REFLECTANCE[Material.SOIL]
 
 
-def test_detection_falls_smoothly_with_the_signal() -> None:
+def test_detection_falls_smoothly_with_the_signal():
     n = 20_000
     chance = ShotRandom.of(1, "chance").uniform(np.arange(n))[:, 0]
     for ratio, expected in ((0.7, 0.0668), (1.0, 0.5), (1.2, 0.8413), (2.0, 1.0)):
@@ -212,16 +212,14 @@ def test_detection_falls_smoothly_with_the_signal() -> None:
         ([0, 7, 0], [0.9, 0.2, 0.3], 1, 1, (1, 1)),
     ],
 )
-def test_which_echoes_are_reported(
-    distance: list[int], strength: list[float], strongest: int, last: int, dual: tuple[int, int]
-) -> None:
+def test_which_echoes_are_reported(distance, strength, strongest, last, dual):
     d, s = np.array([distance]), np.array([strength])
     assert [int(c[0]) for c in choose(d, s, "strongest")] == [strongest] * 2
     assert [int(c[0]) for c in choose(d, s, "last")] == [last] * 2
     assert tuple(int(c[0]) for c in choose(d, s, "dual")) == dual
 
 
-def test_water_reflects_after_fresnel() -> None:
+def test_water_reflects_after_fresnel():
     # Straight down ((n - 1) / (n + 1))^2; at Brewster's angle half of sin^2(i - t) of one polarisation.
     brewster = np.arctan(1.33)
     transmitted = np.arcsin(np.sin(brewster) / 1.33)
@@ -231,7 +229,7 @@ def test_water_reflects_after_fresnel() -> None:
     assert np.all(np.diff(rising[20:]) > 0)
 
 
-def test_a_flat_mirror_shows_the_bank_upside_down() -> None:
+def test_a_flat_mirror_shows_the_bank_upside_down():
     bank = quad(np.array([-50.0, 20, 0]), np.array([100.0, 0, 0]), np.array([0, 0, 10.0]))
     water = quad(np.array([-50.0, -50, 0]), np.array([100.0, 0, 0]), np.array([0, 70.0, 0]))
     scene = surfaces(bank, water, material=(Material.WALL, Material.WATER))
@@ -254,7 +252,7 @@ def test_a_flat_mirror_shows_the_bank_upside_down() -> None:
     assert np.all(wavy.range_m[:2] != flat.range_m[:2])
 
 
-def test_light_that_waves_scatter_is_missing() -> None:
+def test_light_that_waves_scatter_is_missing():
     c = np.array([1.0, 0.5, 0.1])
     assert overlap(0.0, np.full(3, 0.01), c).tolist() == [1.0, 1.0, 1.0]
     np.testing.assert_allclose(overlap(DIVERGENCE, np.zeros(3), c), 1.0)
@@ -269,9 +267,7 @@ def test_light_that_waves_scatter_is_missing() -> None:
     ("incidence_deg", "slope", "behind_m"),
     [(0.0, 0.0008, 20.0), (60.0, 0.0008, 20.0), (80.0, 0.0015, 4.0), (80.0, 0.0006, 60.0)],
 )
-def test_rays_by_way_of_facets_find_the_same_share(
-    incidence_deg: float, slope: float, behind_m: float
-) -> None:
+def test_rays_by_way_of_facets_find_the_same_share(incidence_deg, slope, behind_m):
     """Light and view followed ray by ray, off facets of their own, to a surface square to the middle ray.
 
     How much light the receiver sees there is counted, with waves and without.
@@ -317,7 +313,7 @@ def test_rays_by_way_of_facets_find_the_same_share(
     assert found == pytest.approx(said, rel=0.02)
 
 
-def test_the_table_of_the_boat_leaves_out_no_beam_that_meets_it() -> None:
+def test_the_table_of_the_boat_leaves_out_no_beam_that_meets_it():
     R = np.array([[0.0, 0, -1], [0, 1, 0], [1, 0, 0]])
     lever = np.array([-0.35, 0.02, -0.25])
     hull = Hull.seen_from(R, lever, ELEVATION_RAD, height_m=0.2, margin_m=0.12)
@@ -337,7 +333,7 @@ def test_the_table_of_the_boat_leaves_out_no_beam_that_meets_it() -> None:
     assert way[hit].max() < 1.5
 
 
-def test_numbers_of_shots_depend_on_nothing_else() -> None:
+def test_numbers_of_shots_depend_on_nothing_else():
     a, b = ShotRandom.of(1, "lidar noise"), ShotRandom.of(1, "lidar lateral")
     shot = np.arange(100_000)
     u, v = a.uniform(shot, 4), b.uniform(shot, 4)

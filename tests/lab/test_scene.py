@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from functools import cache
-from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
@@ -36,17 +35,17 @@ FULL = {"weir": True, "bridge": True, "meander_length_m": 90.0, "buildings": 4}
 
 
 @pytest.fixture(scope="module")
-def reach() -> Scene:
+def reach():
     return build_scene(CONFIG, SEED)
 
 
 @pytest.fixture(scope="module")
-def full() -> tuple[TwinConfig, Scene]:
+def full():
     config = TwinConfig.of_size("tiny", scene=FULL)
     return config, build_scene(config, SEED)
 
 
-def test_every_material_occurs_and_is_described(full: tuple[TwinConfig, Scene]) -> None:
+def test_every_material_occurs_and_is_described(full):
     scene = full[1]
     assert set(np.unique(scene.material)) == {int(m) for m in Material}
     for table in (REFLECTANCE, REFLECTANCE_1550, COLOUR):
@@ -63,7 +62,7 @@ def test_every_material_occurs_and_is_described(full: tuple[TwinConfig, Scene]) 
     assert scene.variation[scene.material == Material.LEAF].std() > 0.1
 
 
-def test_ground_and_water_look_up(full: tuple[TwinConfig, Scene]) -> None:
+def test_ground_and_water_look_up(full):
     v, f = full[1].vertices_wcs_m, full[1].triangles
     normal = np.cross(v[f[:, 1]] - v[f[:, 0]], v[f[:, 2]] - v[f[:, 0]])
     ground = np.isin(full[1].material, [*GROUND, Material.WATER])
@@ -71,7 +70,7 @@ def test_ground_and_water_look_up(full: tuple[TwinConfig, Scene]) -> None:
     assert np.all(v[f[full[1].material == Material.WATER]][..., 2] == full[0].scene.water_level_m)
 
 
-def test_the_terrain_has_no_holes(full: tuple[TwinConfig, Scene]) -> None:
+def test_the_terrain_has_no_holes(full):
     """Each edge belongs to two triangles, but for those around the whole terrain."""
     f = full[1].only(*GROUND).triangles
     edges = np.sort(np.concatenate([f[:, [0, 1]], f[:, [1, 2]], f[:, [2, 0]]]), axis=1)
@@ -88,7 +87,7 @@ def test_the_terrain_has_no_holes(full: tuple[TwinConfig, Scene]) -> None:
     assert outside.all()
 
 
-def test_the_mesh_is_the_river(reach: Scene) -> None:
+def test_the_mesh_is_the_river(reach):
     """Looking straight down on the bed and the banks, the mesh is as high as the river says."""
     river = River(CONFIG.scene, SEED)
     rng = np.random.default_rng(2)
@@ -111,7 +110,7 @@ def test_the_mesh_is_the_river(reach: Scene) -> None:
 
 
 @pytest.mark.parametrize("size", ["tiny", "demo"])
-def test_shelves_along_both_shores_are_shallow(size: str) -> None:
+def test_shelves_along_both_shores_are_shallow(size):
     config = TwinConfig.of_size(size).scene
     river = River(config, SEED)
     s = np.linspace(-config.length_m / 2, config.length_m / 2, 400)
@@ -142,7 +141,7 @@ def bodies_of(parts: MeshParts) -> list[ArrayF]:
     return found
 
 
-def test_stones_are_closed_of_natural_size_and_partly_sunk() -> None:
+def test_stones_are_closed_of_natural_size_and_partly_sunk():
     river = River(TwinConfig.of_size("tiny", scene={"length_m": 75.0}).scene, SEED)
     for add, low, high in ((add_boulders, 0.12, 1.1), (add_cobbles, 0.015, 0.16)):
         parts = MeshParts()
@@ -171,9 +170,7 @@ def standing(scene: Scene) -> ArrayB:
 
 
 @pytest.mark.parametrize("changes", [(), ("moved_boulders", "fallen_tree", "gravel_bar", "grown_vegetation")])
-def test_nothing_stands_where_the_boat_sails(
-    full: tuple[TwinConfig, Scene], changes: tuple[str, ...]
-) -> None:
+def test_nothing_stands_where_the_boat_sails(full, changes):
     config = TwinConfig.of_size("tiny", scene={**FULL, "changes": list(changes)})
     scene = build_scene(config, SEED) if changes else full[1]
     river = River(config.scene, SEED)
@@ -191,7 +188,7 @@ def test_nothing_stands_where_the_boat_sails(
     assert river.depth(track_s, np.linspace(-track, track, 41)).min() > 0.5
 
 
-def test_the_bridge_spans_the_river_and_the_weir_dams_it(full: tuple[TwinConfig, Scene]) -> None:
+def test_the_bridge_spans_the_river_and_the_weir_dams_it(full):
     config, scene = full
     river = River(config.scene, SEED)
     concrete = scene.only(Material.CONCRETE).caster()
@@ -242,7 +239,7 @@ Later = Callable[..., tuple[Scene, ArrayI]]
 
 
 @pytest.fixture(scope="module")
-def later() -> Later:
+def later():
     """Scenes after changes and the keys of their triangles, each made once."""
 
     @cache
@@ -254,7 +251,7 @@ def later() -> Later:
 
 
 @pytest.mark.parametrize("change", get_args(Change))
-def test_an_epoch_differs_only_where_it_is_said_to(later: Later, change: Change) -> None:
+def test_an_epoch_differs_only_where_it_is_said_to(later, change):
     # Cells of the deep bed are 32 times as large as those of the shores.
     cells = {"grid_m": 0.1} if change == "scour" else {}
     config = epoch(change, **cells)
@@ -297,7 +294,7 @@ def test_an_epoch_differs_only_where_it_is_said_to(later: Later, change: Change)
         assert new(first_epoch, key).mean() < 0.4
 
 
-def test_patches_are_displaced_along_the_normal_of_the_slope() -> None:
+def test_patches_are_displaced_along_the_normal_of_the_slope():
     plain = TwinConfig.of_size("tiny").scene
     config = plain.model_copy(update={"changes": ("change_patches",)})
     before, after = River(plain, SEED), River(config, SEED)
@@ -315,7 +312,7 @@ def test_patches_are_displaced_along_the_normal_of_the_slope() -> None:
         np.testing.assert_allclose(along_normal, [d, d, 0.0, d, 0.0], atol=1e-9)
 
 
-def test_the_right_bank_retreats_and_keeps_its_track() -> None:
+def test_the_right_bank_retreats_and_keeps_its_track():
     plain = TwinConfig.of_size("tiny", scene={"retreat_m": 1.0}).scene
     config = plain.model_copy(update={"changes": ("bank_retreat",)})
     before, after = River(plain, SEED), River(config, SEED)
@@ -333,7 +330,7 @@ def test_the_right_bank_retreats_and_keeps_its_track() -> None:
         River(config.model_copy(update={"retreat_m": 6.0}), SEED)
 
 
-def test_a_niche_overhangs_until_it_has_collapsed() -> None:
+def test_a_niche_overhangs_until_it_has_collapsed():
     plain = TwinConfig.of_size("tiny").scene
     scenes = [build_scene(epoch(change, grid_m=0.1), SEED) for change in ("niche", "collapsed_niche")]
     river = River(plain, SEED)
@@ -355,7 +352,7 @@ def test_a_niche_overhangs_until_it_has_collapsed() -> None:
     assert np.all(fallen < 0.88 + hits.t_hit_m)
 
 
-def test_a_drier_day_moves_the_water_alone(reach: Scene) -> None:
+def test_a_drier_day_moves_the_water_alone(reach):
     config = TwinConfig.of_size("tiny", scene={"stage_m": -0.25})
     dry = build_scene(config, SEED)
     assert dry.water_level_m == -0.25
@@ -383,7 +380,7 @@ def test_a_drier_day_moves_the_water_alone(reach: Scene) -> None:
     assert t == pytest.approx(4.5, abs=1e-5)
 
 
-def test_flow_coordinates_and_back_at_any_direction() -> None:
+def test_flow_coordinates_and_back_at_any_direction():
     for flow in (0.0, 90.0, 180.0, -135.0):
         config = TwinConfig.of_size("tiny", scene={"flow_deg": flow}).scene
         river = River(config, SEED)
@@ -399,7 +396,7 @@ def test_flow_coordinates_and_back_at_any_direction() -> None:
         assert abs((turned + 180) % 360 - 180) < 6.0
 
 
-def test_a_scene_survives_being_written(reach: Scene, tmp_path: Path) -> None:
+def test_a_scene_survives_being_written(reach, tmp_path):
     reach.write(tmp_path / "scene.npz")
     again = Scene.read(tmp_path / "scene.npz")
     assert np.array_equal(again.vertices_wcs_m, reach.vertices_wcs_m)
@@ -418,7 +415,7 @@ def test_a_scene_survives_being_written(reach: Scene, tmp_path: Path) -> None:
         (b"ply\n", "not a scene"),
     ],
 )
-def test_what_is_no_scene_is_refused(tmp_path: Path, content: bytes | None, found: str) -> None:
+def test_what_is_no_scene_is_refused(tmp_path, content, found):
     path = tmp_path / "scene.npz"
     if content is not None:
         path.write_bytes(content)
@@ -427,7 +424,7 @@ def test_what_is_no_scene_is_refused(tmp_path: Path, content: bytes | None, foun
     assert "simulate_scene" in error.value.cure
 
 
-def test_without_objects_the_scene_is_ground_and_water() -> None:
+def test_without_objects_the_scene_is_ground_and_water():
     config = TwinConfig.of_size(
         "tiny",
         scene={

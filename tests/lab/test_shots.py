@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from tests.lab.conftest import Recorder
 from thalweg.core import read_table
 from thalweg_lab.instruments import LIDAR_SHOTS
 from thalweg_lab.instruments.footprint import drawn_packets
@@ -11,9 +10,7 @@ from thalweg_lab.voyage import start_gps_s
 
 
 @pytest.mark.parametrize("mode", ["strongest", "dual"])
-def test_the_truth_of_long_recordings_is_that_of_whole_packets(
-    record: Recorder, monkeypatch: pytest.MonkeyPatch, mode: str
-) -> None:
+def test_the_truth_of_long_recordings_is_that_of_whole_packets(record, monkeypatch, mode):
     every, _, config = record("every", lidar={"returns": mode, "divergence_mrad": 0.0}, duration_s=0.6)
     full, facts = read_table(every.with_suffix(".parquet"), LIDAR_SHOTS)
     assert facts["share"] == 1.0

@@ -25,7 +25,7 @@ GNSS = TwinConfig.of_size("tiny", gnss={"shadow": True}).gnss
 GROUND, scene_of, sheet = sheets.GROUND, sheets.scene_of, sheets.sheet
 
 
-def test_some_twenty_satellites_cross_the_sky_slowly() -> None:
+def test_some_twenty_satellites_cross_the_sky_slowly():
     t = T0 + np.arange(0, 7200, 60.0)
     low = np.sin(np.deg2rad(10.0))
     for seed in range(5):
@@ -46,7 +46,7 @@ def test_some_twenty_satellites_cross_the_sky_slowly() -> None:
         assert not gap.any()
 
 
-def test_periods_and_radii_of_the_orbits() -> None:
+def test_periods_and_radii_of_the_orbits():
     sky = Constellation.draw(1)
     r = np.linalg.norm(sky.ecef_m(np.array([0.0])), axis=-1)[0]
     np.testing.assert_allclose(r, sky.axis_m, rtol=1e-12)
@@ -61,7 +61,7 @@ def test_periods_and_radii_of_the_orbits() -> None:
     np.testing.assert_allclose(inclination, np.array([55.0, 64.8, 56.0])[sky.system], atol=0.1)
 
 
-def test_dilution_of_a_geometry_that_one_can_reckon() -> None:
+def test_dilution_of_a_geometry_that_one_can_reckon():
     """One satellite in the zenith, three on the horizon: E^2 = N^2 = 2/3, U^2 = 4/3."""
     a = np.deg2rad([0.0, 120.0, 240.0])
     e = np.concatenate([[[0.0, 0.0, 1.0]], np.stack([np.sin(a), np.cos(a), np.zeros(3)], axis=1)])[None]
@@ -74,7 +74,7 @@ def test_dilution_of_a_geometry_that_one_can_reckon() -> None:
     assert dilution(e, np.zeros(4, dtype=int), np.array([[1.0, 1.0, 1.0, 0.0]]))[0].max() > 1000.0
 
 
-def test_what_blocks_what_dims_and_what_reflects() -> None:
+def test_what_blocks_what_dims_and_what_reflects():
     t, place = np.array([T0]), np.array([[0.0, 0.0, 1.0]])
 
     def look(*parts: tuple[tuple[ArrayF, np.ndarray], Material]) -> SkyView:
@@ -123,7 +123,7 @@ def view_of(free: list[int], dilution_3d: float = 1.5, dimmed: int = 0, blocked:
     )
 
 
-def test_thresholds_of_the_solutions() -> None:
+def test_thresholds_of_the_solutions():
     for free, dimmed, blocked, pdop, kind in [
         (6, 0, 0, 2.9, "FIXED"),
         (6, 0, 0, 3.1, "FLOAT"),

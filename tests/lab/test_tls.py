@@ -1,6 +1,5 @@
 """Terrestrial scans: spacing, noise and footprint as stated, leaves at 1550 nm, rays only where of use."""
 
-from pathlib import Path
 from typing import Any
 
 import laspy
@@ -26,12 +25,12 @@ def at(scene: Scene, centre: ArrayF, caster: RayCaster, **changes: Any) -> Stati
 
 
 @pytest.fixture(scope="module")
-def caster(scene: Scene) -> RayCaster:
+def caster(scene):
     return scene.caster()
 
 
 @pytest.fixture(scope="module")
-def centre(twin: Any, caster: RayCaster) -> ArrayF:
+def centre(twin, caster):
     """The middle one of three stations."""
     places = station_positions(twin.config, River(twin.config.scene, SEED), 3, caster)
     return np.asarray(places[1])
@@ -69,7 +68,7 @@ def facing_wall(distance_m: float) -> tuple[Any, RayCaster, ArrayF, ArrayI]:
         (0.003, 100.0, 0.003),
     ],
 )
-def test_noise_is_three_millimetres_at_50_m(floor_m: float, distance_m: float, sigma_m: float) -> None:
+def test_noise_is_three_millimetres_at_50_m(floor_m, distance_m, sigma_m):
     wall, caster, direction, ray = facing_wall(distance_m)
     found = at(wall, np.zeros(3), caster, divergence_mrad=0.0, sigma_floor_m=floor_m).shoot(ray, direction)
     error = found.points_wcs_m - distance_m * direction / direction[:, 1:2]
@@ -79,7 +78,7 @@ def test_noise_is_three_millimetres_at_50_m(floor_m: float, distance_m: float, s
     np.testing.assert_allclose(found.reflectance, REFLECTANCE_1550[Material.WALL], rtol=1e-4)
 
 
-def test_points_on_the_far_shore_have_the_spacing_of_the_settings(twin: Any, tmp_path: Path) -> None:
+def test_points_on_the_far_shore_have_the_spacing_of_the_settings(twin, tmp_path):
     config = TwinConfig.of_size("tiny", tls={"spacing_m": 0.05, "coordinates": "local", **QUIET})
     simulate_tls(config, SEED, FRAME, twin.path("scene.npz"), [tmp_path / "1.laz"], crs="EPSG:25833")
     assert laz_header(tmp_path / "1.laz").frame == FRAME  # or they would pass for coordinates of the grid
@@ -97,7 +96,7 @@ def test_points_on_the_far_shore_have_the_spacing_of_the_settings(twin: Any, tmp
     assert step * (config.scene.width_m + 3.0) == pytest.approx(0.05, rel=0.05)
 
 
-def test_stations_stand_where_they_see_the_other_bank(twin: Any, caster: RayCaster) -> None:
+def test_stations_stand_where_they_see_the_other_bank(twin, caster):
     river = River(twin.config.scene, SEED)
     nominal = station_positions(twin.config, river, 3)
     chosen = station_positions(twin.config, river, 3, caster)

@@ -70,7 +70,7 @@ def grid(cells: int = 320) -> tuple[ArrayF, ArrayF]:
 UP = np.array([0.0, 0.0, 1.0])
 
 
-def test_a_patch_has_the_volume_of_its_area_times_its_displacement() -> None:
+def test_a_patch_has_the_volume_of_its_area_times_its_displacement():
     """0.1 m over 6 by 4 m are 2.4 m^3 whatever the edge; on the slope the distance is along its normal."""
     x, y = grid()
     slope = np.tan(SLOPE) * y
@@ -92,7 +92,7 @@ def test_a_patch_has_the_volume_of_its_area_times_its_displacement() -> None:
     np.testing.assert_allclose(back.off_m, [0.1, 0.05, 0.0], atol=2e-4)
 
 
-def test_a_distance_is_the_mean_over_the_cylinder() -> None:
+def test_a_distance_is_the_mean_over_the_cylinder():
     """On a gable of 0.2 |x| the mean over a disc of radius R is 0.2 * 4 R / (3 pi)."""
     x, _ = grid(20)
     before, after = scene(cells=20), scene(0.2 * np.abs(x), cells=20)
@@ -105,7 +105,7 @@ def test_a_distance_is_the_mean_over_the_cylinder() -> None:
     )
 
 
-def test_a_box_of_soil_is_its_volume_and_an_overhang_counts_once() -> None:
+def test_a_box_of_soil_is_its_volume_and_an_overhang_counts_once():
     plain = scene(cells=20)
     heap = scene(0.0, ((1.0, 1.0, -0.5), (2.0, 3.0, 1.5), Material.SOIL), cells=20)
     table = true_volumes(plain, heap, {"all": SQUARE, "half": np.array([[1, -5], [5, -5], [5, 5], [1, 5]])})
@@ -128,7 +128,7 @@ def test_a_box_of_soil_is_its_volume_and_an_overhang_counts_once() -> None:
     assert found.off_m[0] == pytest.approx(-0.05, abs=1e-5)
 
 
-def test_what_stands_on_the_ground_is_told_apart() -> None:
+def test_what_stands_on_the_ground_is_told_apart():
     plain = scene(cells=20)
     stone = ((0.0, 0.0, -0.2), (2.0, 2.0, 0.7), Material.STONE)
     leaf = ((4.0, 4.0, 0.3), (2.0, 2.0, 0.2), Material.LEAF)
@@ -161,7 +161,7 @@ def lowered() -> tuple[Scene, Scene, dict[str, ArrayF]]:
     return scene(slope, cells=160), scene(hollow, cells=160), outlines
 
 
-def test_places_of_true_change_lie_evenly_on_the_ground_and_know_their_polygon() -> None:
+def test_places_of_true_change_lie_evenly_on_the_ground_and_know_their_polygon():
     before, after, outlines = lowered()
     area = Area(polygon_en_m=0.75 * SQUARE)
     table = true_points(before, after, outlines, area, radius_m=0.0, reach_m=2.0, seed=1)
@@ -182,7 +182,7 @@ def test_places_of_true_change_lie_evenly_on_the_ground_and_know_their_polygon()
         true_points(before, after, {}, Area(lowest_m=50.0), radius_m=0.5, reach_m=2.0, seed=1)
 
 
-def test_polygons_have_volumes_classes_and_outlines_that_are_read_again() -> None:
+def test_polygons_have_volumes_classes_and_outlines_that_are_read_again():
     before, after, outlines = lowered()
     table = true_polygons(before, after, outlines).set_index("name")
     assert table.loc["hollow", "kind"] == "erosion"
@@ -193,7 +193,7 @@ def test_polygons_have_volumes_classes_and_outlines_that_are_read_again() -> Non
         assert back[name] == pytest.approx(outline, abs=5e-4)
 
 
-def test_volumes_and_places_are_held_against_the_truth() -> None:
+def test_volumes_and_places_are_held_against_the_truth():
     before, after, outlines = lowered()
     plan = np.stack(np.meshgrid(*[np.arange(-5.75, 6.0, 0.5)] * 2), axis=-1).reshape(-1, 2)
     inside = (np.abs(plan) < 2.0).all(axis=1)
@@ -232,7 +232,7 @@ def test_volumes_and_places_are_held_against_the_truth() -> None:
     assert judge_places(changes, truth[truth["kind"] == "unchanged"], 0.25) == []
 
 
-def test_differences_of_heights_are_held_against_the_truth() -> None:
+def test_differences_of_heights_are_held_against_the_truth():
     before, after, _ = lowered()
     frame = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
     crs = CRS.from_epsg(25833)
@@ -255,7 +255,7 @@ def test_differences_of_heights_are_held_against_the_truth() -> None:
     assert rows["height_normalised_square_changed"][1] >= inner.sum()
 
 
-def test_true_changes_are_written_from_scenes(tmp_path: Path) -> None:
+def test_true_changes_are_written_from_scenes(tmp_path):
     """Ground that rises by 20 cm from the first epoch to the second; no outline has changed."""
     before, after = scene(cells=4), scene(0.2, cells=4)
     before.write(tmp_path / "1.npz")

@@ -1,7 +1,6 @@
 """True mounts lie around the campaign's with the stated sigmas, and nothing else changes."""
 
 import json
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -33,7 +32,7 @@ def drawn(mounts: dict[str, Any], sensor: str) -> np.ndarray:
     return np.array(rows)
 
 
-def test_errors_have_the_stated_sigmas_two_sided() -> None:
+def test_errors_have_the_stated_sigmas_two_sided():
     lidar = drawn(campaign(), "lidar")
     sigmas = np.array([0.018, 0.009, 0.004, 0.0005, 0.0002, 0.0001])
     # 400 seeds: a sigma is known to 3.5 %, a mean to sigma / 20; four times that.
@@ -44,7 +43,7 @@ def test_errors_have_the_stated_sigmas_two_sided() -> None:
     np.testing.assert_allclose(drawn(campaign(), "antenna").std(axis=0), [0.002, 0.003, 0.004], rtol=0.14)
 
 
-def test_correlations_of_the_calibration_are_kept() -> None:
+def test_correlations_of_the_calibration_are_kept():
     C = np.eye(6)
     C[0, 2] = C[2, 0] = -0.95
     C[1, 3] = C[3, 1] = 0.7
@@ -57,7 +56,7 @@ def test_correlations_of_the_calibration_are_kept() -> None:
     np.testing.assert_allclose(errors[:, 0] / 0.018, errors[:, 2] / 0.004, atol=1e-6)
 
 
-def test_the_file_beside_the_truth(tmp_path: Path) -> None:
+def test_the_file_beside_the_truth(tmp_path):
     mounts = campaign()
     true = true_mounts(mounts, 3, on=True)
     path = tmp_path / "truth" / "mounts.json"
@@ -78,7 +77,7 @@ def test_the_file_beside_the_truth(tmp_path: Path) -> None:
             read_true_mounts(path)
 
 
-def test_sigmas_about_the_axes_of_the_body_turn_the_sensor_there() -> None:
+def test_sigmas_about_the_axes_of_the_body_turn_the_sensor_there():
     """At phi = -90 degrees errors of omega and kappa are one; rotations about x, y and z are not."""
     mounts = campaign(sigma_axes="ics", sigma_omega_deg=0.5, sigma_phi_deg=0.3, sigma_kappa_deg=0.2)
     assert mounts["lidar"]["phi_deg"] == -90.0

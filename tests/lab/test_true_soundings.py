@@ -1,7 +1,5 @@
 """Soundings against the truth of their pings: sigmas two-sided, reasons counted, times matched."""
 
-from pathlib import Path
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -50,7 +48,7 @@ def pings(scale: float = 1.0, lag_s: float = 0.0) -> tuple[pd.DataFrame, np.ndar
 
 
 @pytest.mark.parametrize(("scale", "square"), [(1.0, 1.0), (2.0, 4.0), (0.5, 0.25)])
-def test_sigmas_that_are_right_too_small_and_too_large(scale: float, square: float) -> None:
+def test_sigmas_that_are_right_too_small_and_too_large(scale, square):
     errors, _ = compare_soundings(*pings(scale))
     whole = errors.iloc[0]
     assert whole["n"] == N
@@ -63,7 +61,7 @@ def test_sigmas_that_are_right_too_small_and_too_large(scale: float, square: flo
         assert whole["outside_95"] == pytest.approx(0.05, abs=0.014)
 
 
-def test_reasons_found_missed_and_false() -> None:
+def test_reasons_found_missed_and_false():
     soundings, stamp, truth = pings()
     truth.loc[:9, ["effect", "blunder_m"]] = ["spike", 1.0]
     truth.loc[10:19, ["effect", "stated_m"]] = ["turn", np.nan]
@@ -82,13 +80,13 @@ def test_reasons_found_missed_and_false() -> None:
     assert errors["n"].iloc[0] == N - 28
 
 
-def test_times_that_the_processing_moved_are_matched() -> None:
+def test_times_that_the_processing_moved_are_matched():
     moved, _ = compare_soundings(*pings(lag_s=0.43))
     plain, _ = compare_soundings(*pings())
     pd.testing.assert_frame_equal(moved, plain)
 
 
-def test_rows_are_pings_of_a_log_that_says_each_depth_twice(tmp_path: Path) -> None:
+def test_rows_are_pings_of_a_log_that_says_each_depth_twice(tmp_path):
     """The log of the twin, read and matched: each sounding finds its own ping, late or not."""
     config = short(echo={"sigma_m": 0.0, "latency_s": 0.35, "zeros": True, "no_bottom_share": 0.2})
     Scene(

@@ -1,7 +1,6 @@
 """Comparisons with the truth on a few values whose answers can be said beforehand."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -38,7 +37,7 @@ MAP = CRS.from_epsg(25833)
 # ---------------------------------------------------------------- lens and clock
 
 
-def test_errors_of_a_lens_and_of_a_clock_have_their_signs_and_units() -> None:
+def test_errors_of_a_lens_and_of_a_clock_have_their_signs_and_units():
     camera = Camera(
         model="fisheye",
         size_px=(800, 600),
@@ -69,7 +68,7 @@ def test_errors_of_a_lens_and_of_a_clock_have_their_signs_and_units() -> None:
 # ---------------------------------------------------------------- points
 
 
-def test_every_row_of_the_errors_of_points() -> None:
+def test_every_row_of_the_errors_of_points():
     """Six points: one beside the ground, one gross, four on bare ground at two ranges."""
     error = np.array([0.01, -0.02, 0.03, 0.0, 0.5, 9.0])
     sigma = np.array([0.01, 0.02, 0.01, 0.02, 0.05, 1.0])
@@ -128,13 +127,13 @@ RETURNS = TrueReturns(
 )
 
 
-def test_points_are_found_by_their_shot_and_return() -> None:
+def test_points_are_found_by_their_shot_and_return():
     t = np.array([10.0 + 1e-6, 10.0 - 1e-6, 10.0 + 2.4e-6, 11.0, 12.0 + 2e-6, 9.0, 13.0])
     assert RETURNS.index(t, np.array([2, 1, 1, 1, 1, 1, 1])).tolist() == [1, 0, 2, 3, -1, -1, -1]
     assert RETURNS.index(np.array([11.0]), np.array([2])).tolist() == [-1]
 
 
-def test_what_filters_kept_of_each_kind(tmp_path: Path) -> None:
+def test_what_filters_kept_of_each_kind(tmp_path):
     path = tmp_path / "c.laz"
     with LazWriter(path, FRAME) as writer:
         writer.append(
@@ -154,7 +153,7 @@ def test_what_filters_kept_of_each_kind(tmp_path: Path) -> None:
     assert sample_of_known_points(path, RETURNS, 3)["true_row"].tolist() == [0, 1, 4]
 
 
-def test_a_strip_of_the_bed_is_judged_from_files(tmp_path: Path) -> None:
+def test_a_strip_of_the_bed_is_judged_from_files(tmp_path):
     corners = np.array([[-9.0, -9.0, -2.0], [9.0, -9.0, -2.0], [9.0, 9.0, -2.0], [-9.0, 9.0, -2.0]])
     mesh = TriangleMesh(vertices_m=corners, faces=np.array([[0, 1, 2], [0, 2, 3]]), sigma_m=np.zeros(4))
     write_mesh(tmp_path / "bed.ply", mesh, FRAME, {})
@@ -178,7 +177,7 @@ def test_a_strip_of_the_bed_is_judged_from_files(tmp_path: Path) -> None:
 
 
 @pytest.fixture
-def valley(tmp_path: Path) -> Path:
+def valley(tmp_path):
     """Bed at -2 m between y = -5 and 5; beyond it soil that rises from -0.5 m by 1 in 10; a stone."""
     x = 30.0
     strips = [(-15.0, 0.5, -5.0, -0.5, Material.SOIL), (5.0, -0.5, 15.0, 0.5, Material.SOIL)]
@@ -209,7 +208,7 @@ def of(table: pd.DataFrame, name: str) -> tuple[list[float], set[int]]:
     return rows["value"].tolist(), set(rows["n"])
 
 
-def test_soundings_bed_and_banks_beside_the_true_ground(valley: Path, tmp_path: Path) -> None:
+def test_soundings_bed_and_banks_beside_the_true_ground(valley, tmp_path):
     soundings = pd.DataFrame(
         {
             "east_m": [0.0, 3.0, 9.0, 0.0, 200.0],
@@ -284,7 +283,7 @@ def test_soundings_bed_and_banks_beside_the_true_ground(valley: Path, tmp_path: 
     assert n == {3}
 
 
-def test_a_terrain_model_is_judged_by_its_sources(valley: Path, tmp_path: Path) -> None:
+def test_a_terrain_model_is_judged_by_its_sources(valley, tmp_path):
     """Cells of 1 m along the valley's bed and its northern bank: 10 cm too high, the far bank 30 cm."""
     corner = np.floor(FRAME.to_map(np.array([[0.0, 12.0, 0.0]]), MAP)[0, :2]) + np.array([0.0, 1.0])
     centres = np.stack(
@@ -332,7 +331,7 @@ def test_a_terrain_model_is_judged_by_its_sources(valley: Path, tmp_path: Path) 
 # ---------------------------------------------------------------- rig
 
 
-def test_poses_of_a_rig_are_judged_by_their_images() -> None:
+def test_poses_of_a_rig_are_judged_by_their_images():
     cov = np.diag([0.01**2] * 3 + [1e-3**2] * 3)
 
     def poses(
@@ -370,7 +369,7 @@ def test_poses_of_a_rig_are_judged_by_their_images() -> None:
     assert [row[2] for row in rows] == [12, 2, 2]
 
 
-def test_colours_of_points_against_what_is_seen_of_them(tmp_path: Path) -> None:
+def test_colours_of_points_against_what_is_seen_of_them(tmp_path):
     """A sphere of 10 m; the cloud is half as bright as the truth, one colour of its points off by a tenth."""
     width = 64
     rays = sphere_rays(width)

@@ -12,13 +12,13 @@ from thalweg_lab.voyage import start_unix
 
 
 @pytest.mark.parametrize("size", list(SIZES))
-def test_a_size_survives_being_written_out(size: str) -> None:
+def test_a_size_survives_being_written_out(size):
     config = TypeAdapter(TwinConfig).validate_json(json.dumps({"size": size}), strict=True)
     assert TwinConfig(**config.model_dump(mode="json")) == config
     assert TypeAdapter(TwinConfig).validate_json(config.model_dump_json(), strict=True) == config
 
 
-def test_sizes_last_as_long_as_they_say_and_tiny_crosses_an_hour() -> None:
+def test_sizes_last_as_long_as_they_say_and_tiny_crosses_an_hour():
     lengths = {size: TwinConfig.of_size(size).duration_s for size in SIZES}
     river = {"tiny": 25.0, "demo": 180.0, "mulde": 1025.0, "reach": 4150.0}
     # a basin has no voyage; its start alone counts
@@ -32,7 +32,7 @@ def test_sizes_last_as_long_as_they_say_and_tiny_crosses_an_hour() -> None:
         assert (start_us + int(config.duration_s * 1e6)) // HOUR_US - start_us // HOUR_US == crosses
 
 
-def test_defaults_are_the_published_inputs() -> None:
+def test_defaults_are_the_published_inputs():
     config = TwinConfig.of_size("mulde")
     # P2 eq. 7: 3 cm over three components.
     assert config.lidar.sigma_range_m == pytest.approx(0.03 / 3**0.5, abs=5e-5)
@@ -61,7 +61,7 @@ def test_defaults_are_the_published_inputs() -> None:
         ({"tls": {"sigma_floor_m": 0.004}}, ("tls",), "lower it, to 0 for scans without noise"),
     ],
 )
-def test_mistakes_are_named(data: dict[str, object], place: tuple[object, ...], fragment: str) -> None:
+def test_mistakes_are_named(data, place, fragment):
     with pytest.raises(ValidationError) as error:
         TypeAdapter(TwinConfig).validate_json(json.dumps(data), strict=True)
     assert [(e["loc"], fragment in e["msg"]) for e in error.value.errors()] == [(place, True)]

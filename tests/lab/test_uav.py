@@ -1,8 +1,6 @@
 """The drone's cloud: where it has points, how they err, and its own shift."""
 
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import laspy
 import numpy as np
@@ -15,12 +13,12 @@ from thalweg.fusion import Cloud, fit_cloud, read_cloud
 from thalweg.settings.sections import CloudFit
 from thalweg_lab.instruments import simulate_uav
 from thalweg_lab.reach import River
-from thalweg_lab.river import Material, Scene
+from thalweg_lab.river import Material
 
 CRS_NAME = "EPSG:25833"
 
 
-def test_the_cloud_is_shifted_rough_and_has_holes(twin: Any, scene: Scene, tmp_path: Path) -> None:
+def test_the_cloud_is_shifted_rough_and_has_holes(twin, scene, tmp_path):
     config = short(uav={"spacing_m": 0.5, "crown_share": 0.0})
     path = tmp_path / "uav.laz"
     facts = simulate_uav(config, SEED, FRAME, twin.path("scene.npz"), path, crs=CRS_NAME)
@@ -44,7 +42,7 @@ def test_the_cloud_is_shifted_rough_and_has_holes(twin: Any, scene: Scene, tmp_p
     assert abs(np.median(error)) < 0.01
 
 
-def test_its_shift_is_found_on_the_ground_of_the_banks(twin: Any, scene: Scene, tmp_path: Path) -> None:
+def test_its_shift_is_found_on_the_ground_of_the_banks(twin, scene, tmp_path):
     """The drone's cloud, laid on ground as the boat's lidar gives it; a metre too high it is refused."""
     config = short(uav={"spacing_m": 0.5, "sigma_shift_m": (0.03, 0.03, 0.15)})
     path = tmp_path / "uav.laz"

@@ -13,13 +13,11 @@ FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
 
 
 @pytest.fixture(scope="module", params=["tiny", "demo", "mulde", "reach"])
-def voyage(request: pytest.FixtureRequest) -> Voyage:
+def voyage(request):
     return Voyage(TwinConfig.of_size(request.param), 3)
 
 
-def test_rates_and_velocities_are_the_derivatives_of_the_pose(
-    voyage: Voyage, rng: np.random.Generator
-) -> None:
+def test_rates_and_velocities_are_the_derivatives_of_the_pose(voyage, rng):
     t = voyage.start_gps_s + rng.uniform(0, voyage.config.duration_s, 400)
     h = 1e-3
     # Time differences are taken as the floats give them: at 3e8 s they step by 60 ns.
@@ -40,7 +38,7 @@ def test_rates_and_velocities_are_the_derivatives_of_the_pose(
     np.testing.assert_allclose(voyage.sensor_velocity_wcs_mps(t, lever), moved, atol=5e-5)
 
 
-def test_speed_and_turn_rate_are_those_of_the_settings(voyage: Voyage) -> None:
+def test_speed_and_turn_rate_are_those_of_the_settings(voyage):
     boat = voyage.config.boat
     t = voyage.start_gps_s + np.arange(0, voyage.config.duration_s, 0.05)
     speed = np.linalg.norm(voyage.velocity_wcs_mps(t)[:, :2], axis=1)
@@ -54,7 +52,7 @@ def test_speed_and_turn_rate_are_those_of_the_settings(voyage: Voyage) -> None:
     assert np.rad2deg(turning.max()) > 0.95 * boat.turn_rate_degps
 
 
-def test_the_zigzag_reaches_both_sides_and_stays_in_the_water(voyage: Voyage) -> None:
+def test_the_zigzag_reaches_both_sides_and_stays_in_the_water(voyage):
     config = voyage.config
     t = voyage.start_gps_s + np.arange(-4.9, config.duration_s + 4.9, 0.1)
     p = voyage.position_wcs_m(t)
@@ -68,7 +66,7 @@ def test_the_zigzag_reaches_both_sides_and_stays_in_the_water(voyage: Voyage) ->
     assert np.max(np.abs(s)) < config.scene.length_m / 2
 
 
-def test_the_boat_keeps_clear_of_weir_and_ends(voyage: Voyage) -> None:
+def test_the_boat_keeps_clear_of_weir_and_ends(voyage):
     config = voyage.config
     p = voyage.position_wcs_m(voyage.start_gps_s + np.arange(-4.9, config.duration_s + 4.9, 1.0))
     s, _ = voyage.river.to_flow(p[:, 0], p[:, 1])
@@ -82,7 +80,7 @@ def test_the_boat_keeps_clear_of_weir_and_ends(voyage: Voyage) -> None:
         assert weir[0] < p[:, 0].min()
 
 
-def test_the_boat_heels_outwards_in_turns() -> None:
+def test_the_boat_heels_outwards_in_turns():
     still = {"roll_deg": 0.0, "pitch_deg": 0.0, "yaw_deg": 0.0, "heave_m": 0.0}
     voyage = Voyage(TwinConfig.of_size("tiny", boat=still), 3)
     t = voyage.start_gps_s + np.arange(0.0, 25.0, 0.05)
@@ -97,7 +95,7 @@ def test_the_boat_heels_outwards_in_turns() -> None:
     np.testing.assert_array_equal(pitch, 0.0)
 
 
-def test_waves_sway_the_boat_within_the_amplitudes_and_together() -> None:
+def test_waves_sway_the_boat_within_the_amplitudes_and_together():
     voyage = Voyage(TwinConfig.of_size("mulde", boat={"heel_share": 0.0}), 3)
     boat = voyage.config.boat
     t = voyage.start_gps_s + np.arange(0.0, 1000.0, 0.1)
@@ -115,7 +113,7 @@ def test_waves_sway_the_boat_within_the_amplitudes_and_together() -> None:
     assert abs(np.corrcoef(pitch, heave)[0, 1]) < 0.1
 
 
-def test_the_truth_file_holds_the_motion(voyage: Voyage) -> None:
+def test_the_truth_file_holds_the_motion(voyage):
     truth = true_trajectory(voyage, FRAME)
     t = voyage.start_gps_s + np.linspace(0, min(20.0, voyage.config.duration_s), 333)
     position, rotation, valid = truth.at(t)
@@ -125,7 +123,7 @@ def test_the_truth_file_holds_the_motion(voyage: Voyage) -> None:
     np.testing.assert_allclose(rotation, voyage.R_wcs_ics(t), atol=5e-6)
 
 
-def test_gauss_markov_has_its_sigma_and_its_correlation_two_sided() -> None:
+def test_gauss_markov_has_its_sigma_and_its_correlation_two_sided():
     x = gauss_markov(np.random.default_rng(1), 400_000, 0.1, 2.0, 1.0)
     # 400,000 samples with 20 correlated steps each: 20,000 independent ones, sigma known to 0.5 %.
     assert np.std(x) == pytest.approx(2.0, rel=0.02)
@@ -138,7 +136,7 @@ def test_gauss_markov_has_its_sigma_and_its_correlation_two_sided() -> None:
     assert np.std([s[1] for s in starts]) == pytest.approx(2.0, rel=0.05)
 
 
-def test_a_course_beside_the_middle_against_the_flow_on_a_drier_day() -> None:
+def test_a_course_beside_the_middle_against_the_flow_on_a_drier_day():
     plain = Voyage(TwinConfig.of_size("tiny"), 3)
     dry = Voyage(TwinConfig.of_size("tiny", scene={"stage_m": -0.25}), 3)
     t = np.linspace(0.0, 25.0, 251)

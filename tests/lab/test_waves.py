@@ -9,13 +9,13 @@ from thalweg_lab.river.waves import angular_frequency
 
 
 @pytest.fixture(scope="module")
-def places() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def places():
     rng = np.random.default_rng(1)
     return rng.uniform(-800, 800, 200_000), rng.uniform(-800, 800, 200_000), rng.uniform(0, 900, 200_000)
 
 
 @pytest.mark.parametrize(("slope", "height"), [(0.04, None), (0.03, 0.003), (0.05, 0.010)])
-def test_height_and_slope_are_what_was_asked_for(places, slope: float, height: float | None) -> None:
+def test_height_and_slope_are_what_was_asked_for(places, slope, height):
     waves = Waves.draw(7, rms_slope=slope, rms_height_m=height)
     wanted = 0.12 * slope if height is None else height
     assert waves.rms_slope == pytest.approx(slope, rel=1e-9)
@@ -27,7 +27,7 @@ def test_height_and_slope_are_what_was_asked_for(places, slope: float, height: f
     assert np.std(waves.height_m(*places)) == pytest.approx(wanted, rel=0.01)
 
 
-def test_the_normal_is_that_of_the_height(places) -> None:
+def test_the_normal_is_that_of_the_height(places):
     waves = Waves.draw(3, rms_slope=0.05)
     east, north, t = (a[:500] for a in places)
     h = 1e-5
@@ -44,7 +44,7 @@ def test_the_normal_is_that_of_the_height(places) -> None:
     np.testing.assert_allclose(np.linalg.norm(normal, axis=1), 1.0, atol=1e-12)
 
 
-def test_waves_travel_at_the_speed_of_the_dispersion_relation() -> None:
+def test_waves_travel_at_the_speed_of_the_dispersion_relation():
     # Phase speed of a wave of 1 m: sqrt(g / k) = 1.2495 m/s, capillarity adds 0.01 %.
     k = 2 * np.pi
     assert angular_frequency(k) / k == pytest.approx(np.sqrt(9.81 / k), rel=2e-4)
@@ -67,7 +67,7 @@ def test_waves_travel_at_the_speed_of_the_dispersion_relation() -> None:
     np.testing.assert_allclose(there, one.height_m(np.array([0.0]), np.array([0.0]), 0.0), atol=1e-12)
 
 
-def test_a_mirror_and_what_is_refused() -> None:
+def test_a_mirror_and_what_is_refused():
     flat = Waves.draw(1, rms_slope=0.0)
     np.testing.assert_array_equal(flat.normal(np.zeros(2), np.ones(2), 3.0), [[0, 0, 1], [0, 0, 1]])
     with pytest.raises(GeometryError, match="steeper waves break"):

@@ -56,17 +56,17 @@ NAMED = pd.read_csv(Path(__file__).parents[2] / "resources/published/headlines.c
 
 
 @pytest.fixture(scope="module")
-def entries(repository: Path) -> tuple[Entry, ...]:
+def entries(repository):
     return read_ledgers(repository / "resources/published")
 
 
 @pytest.fixture(scope="module")
-def pages(repository: Path) -> dict[str, int]:
+def pages(repository):
     return read_pages(repository / "resources/thesis_pages.yaml")
 
 
 @pytest.fixture(scope="module")
-def parts(repository: Path) -> dict[str, Any]:
+def parts(repository):
     """Rules as docs/rules.md lists them, which another test keeps in step with the workflow."""
     rules = re.findall(r"^\| `(\w+)` \|", (repository / "docs/rules.md").read_text(), re.MULTILINE)
     return parts_of(rules, figures_of(repository))
@@ -78,7 +78,7 @@ def figures_of(repository: Path) -> dict[str, dict[str, Any]]:
 
 
 @pytest.fixture(scope="module")
-def results(entries, parts, repository: Path, tmp_path_factory: pytest.TempPathFactory) -> Results:
+def results(entries, parts, repository, tmp_path_factory):
     """What a fresh clone has: records, settings, computed numbers, and the tables of budgets."""
     folder = tmp_path_factory.mktemp("budgets")
     studies = {}
@@ -94,14 +94,14 @@ def results(entries, parts, repository: Path, tmp_path_factory: pytest.TempPathF
 
 
 @pytest.fixture(scope="module")
-def ledger(entries, results, pages) -> pd.DataFrame:
+def ledger(entries, results, pages):
     return whole_ledger(entries, results, pages)
 
 
 # ---------------------------------------------------------------- all items
 
 
-def test_every_item_stands_in_the_ledger(entries, ledger) -> None:
+def test_every_item_stands_in_the_ledger(entries, ledger):
     assert missing_items(entries) == []
     assert len(ITEMS) == 328 + 30 + 39
     assert len(ledger) == len(entries)
@@ -110,7 +110,7 @@ def test_every_item_stands_in_the_ledger(entries, ledger) -> None:
     assert missing_items(without) == ["C138"]
 
 
-def test_every_row_has_a_verdict_and_a_reason(ledger) -> None:
+def test_every_row_has_a_verdict_and_a_reason(ledger):
     assert set(ledger["verdict"]) <= set(VERDICTS)
     for row in ledger.to_dict("records"):
         assert row["reason"], row
@@ -123,13 +123,13 @@ def test_every_row_has_a_verdict_and_a_reason(ledger) -> None:
         assert part["rows"].str.split().str[0].map(ITEMS.index).is_monotonic_increasing
 
 
-def test_exact_numbers_that_are_missed_are_explained(ledger) -> None:
+def test_exact_numbers_that_are_missed_are_explained(ledger):
     missed = ledger[(ledger["kind"] == "exact") & (ledger["verdict"] == NOT_MATCHED)]
     assert len(missed)
     assert (missed["note"] != "").all(), missed["name"].tolist()
 
 
-def test_what_could_fail_was_not_put_in(ledger, entries) -> None:
+def test_what_could_fail_was_not_put_in(ledger, entries):
     """Cells of the tables that are a sigma itself, arithmetic, and fitted geometry are no findings."""
     by_name = {e.name: e for e in entries}
     for row in ledger[could_fail(ledger)].to_dict("records"):
@@ -140,7 +140,7 @@ def test_what_could_fail_was_not_put_in(ledger, entries) -> None:
     assert (ledger[ledger["kind"] == "figure"]["verdict"].isin([THERE, "waived"])).all()
 
 
-def test_page_table_words_and_docs_count_alike(ledger, entries, repository: Path, tmp_path: Path) -> None:
+def test_page_table_words_and_docs_count_alike(ledger, entries, repository, tmp_path):
     """A row of ledger.csv is an entry; the page has it once, and every count is of these rows."""
     counts = by_class(ledger).set_index("verdict")
     assert counts.loc["all", "all"] == len(ledger) == len(entries)
@@ -164,7 +164,7 @@ def test_page_table_words_and_docs_count_alike(ledger, entries, repository: Path
     assert said.strip() in " ".join(told(ledger, headlines(ledger, NAMED)).split())
 
 
-def test_what_was_not_run_is_named_above_the_counts(ledger, entries, results, pages, tmp_path: Path) -> None:
+def test_what_was_not_run_is_named_above_the_counts(ledger, entries, results, pages, tmp_path):
     """In a clone the campaign `basin` is not there; with its results nothing waits for it."""
     waiting = ledger[ledger["command"] == "snakemake --config campaign=basin"]
     assert set(waiting["verdict"]) == {NO_RESULT}
@@ -177,7 +177,7 @@ def test_what_was_not_run_is_named_above_the_counts(ledger, entries, results, pa
     assert "Not run here" not in written(without, tmp_path)
 
 
-def test_no_entry_of_the_tables_is_typed_twice(entries) -> None:
+def test_no_entry_of_the_tables_is_typed_twice(entries):
     """Cells come from the CSV of the budget: 17 rows and 16 rows at four distances."""
     assert sum(e.ours.name == "budgets/p2_table1.csv" and "influence" in e.quantity for e in entries) == 68
     assert sum(e.ours.name == "budgets/t_table3_1.csv" for e in entries) == 64
@@ -186,7 +186,7 @@ def test_no_entry_of_the_tables_is_typed_twice(entries) -> None:
 # ---------------------------------------------------------------- what entries point to
 
 
-def test_rules_functions_and_figures_exist(entries, parts) -> None:
+def test_rules_functions_and_figures_exist(entries, parts):
     named = [e for e in entries if e.ours.source in NAMES]
     assert {e.ours.source for e in named} == set(NAMES)
     for entry in named:
@@ -217,7 +217,7 @@ def printed_figures(shows: str) -> set[str]:
     return found
 
 
-def test_each_figure_shows_what_its_row_says(entries, repository: Path) -> None:
+def test_each_figure_shows_what_its_row_says(entries, repository):
     """A picture names the printed figure that it shows, or its entry is a sketch of the same thing."""
     assert printed_figures("x (P3 Fig. 4 and 7, P4 Fig. 9 to 11, T Fig. 3.3b)") == {
         *(f"P3 Fig. {i}" for i in (4, 7)),
@@ -239,7 +239,7 @@ def test_each_figure_shows_what_its_row_says(entries, repository: Path) -> None:
     assert unnamed == {"P2 Fig. 1"}
 
 
-def test_records_take_the_place_of_results(results, entries, repository: Path, tmp_path: Path) -> None:
+def test_records_take_the_place_of_results(results, entries, repository, tmp_path):
     """A table, a picked JSON, and the run's own file before both."""
     tables = results.records
     assert isinstance(tables["full/accuracy/chains.csv"][0], pd.DataFrame)
@@ -297,7 +297,7 @@ def test_records_take_the_place_of_results(results, entries, repository: Path, t
         ("C009", "vertical view", 30.0, 1e-9, INPUT),
     ],
 )
-def test_computed_numbers(ledger, item: str, part: str, found: float, tolerance: float, verdict: str) -> None:
+def test_computed_numbers(ledger, item, part, found, tolerance, verdict):
     of_item = ledger["rows"].str.split().map(lambda rows: item in rows)
     its_part = ledger["name"].str.partition(" ")[2] == part
     (row,) = ledger[of_item & its_part].to_dict("records")
@@ -320,9 +320,7 @@ def one_of_each(entries: tuple[Entry, ...], ledger: pd.DataFrame) -> Iterator[En
             yield entry
 
 
-def test_each_kind_of_number_turns_when_it_changes(
-    entries, ledger, results, pages, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_each_kind_of_number_turns_when_it_changes(entries, ledger, results, pages, monkeypatch):
     """The same entry with a found number far off, on the side that its rule forbids."""
     turned = []
     for entry in one_of_each(entries, ledger):
@@ -338,7 +336,7 @@ def test_each_kind_of_number_turns_when_it_changes(
     assert {"equal", "at most", "at least", "inside", "misprint", "same word"} <= {rule for _, rule in turned}
 
 
-def test_files_settings_and_parts_that_change_turn_the_verdict(entries, results, pages) -> None:
+def test_files_settings_and_parts_that_change_turn_the_verdict(entries, results, pages):
     by_name = {e.name: e for e in entries}
 
     def verdict(name: str, changed: Results) -> str:
@@ -371,7 +369,7 @@ SCALES = (1.0, 1e6, 10.0, 0.1, 1e3, 1e-3)
 """Units of a value against those of its text: million, cm and mm, m and mm."""
 
 
-def test_values_stand_in_their_printed_text(entries) -> None:
+def test_values_stand_in_their_printed_text(entries):
     """A digit that is changed in one of both is told, where the value is printed as such."""
     checked, elsewhere = 0, set()
     for entry in entries:
@@ -401,7 +399,7 @@ def test_values_stand_in_their_printed_text(entries) -> None:
         (0.16, NOT_MATCHED),
     ],
 )
-def test_a_misprint_is_confirmed_by_the_number_decided_on_alone(entries, ours: float, verdict: str) -> None:
+def test_a_misprint_is_confirmed_by_the_number_decided_on_alone(entries, ours, verdict):
     entry = next(e for e in entries if e.name == "E26")
     assert (entry.value, entry.decided) == (0.18, 0.17)
     assert verdict_of(entry, Found(value=ours))[0] == verdict
@@ -436,7 +434,7 @@ sections:
         ("basis: printed digits", "basis: direction", "found direction for the rule 'misprint'"),
     ],
 )
-def test_mistakes_in_a_ledger_are_told(tmp_path: Path, old: str, new: str, told: str) -> None:
+def test_mistakes_in_a_ledger_are_told(tmp_path, old, new, told):
     assert old in BAD
     path = tmp_path / "bad.yaml"
     path.write_text(BAD.replace(old, new))
@@ -447,7 +445,7 @@ def test_mistakes_in_a_ledger_are_told(tmp_path: Path, old: str, new: str, told:
         read_ledger(path)
 
 
-def test_two_files_must_not_have_one_name(tmp_path: Path) -> None:
+def test_two_files_must_not_have_one_name(tmp_path):
     for name in ("a", "b"):
         (tmp_path / f"{name}.yaml").write_text(BAD)
     with pytest.raises(ConfigError, match="'E26' stands twice"):
@@ -464,7 +462,7 @@ def written(ledger: pd.DataFrame, folder: Path) -> str:
     return (folder / "ledger.html").read_text()
 
 
-def test_the_page_opens_with_what_could_fail_and_the_headlines(ledger, tmp_path: Path) -> None:
+def test_the_page_opens_with_what_could_fail_and_the_headlines(ledger, tmp_path):
     html = written(ledger, tmp_path)
     at = [html.index(f'id="{part}"') for part in ("headlines", "counts", "not-matched", "reproduced")]
     assert at == sorted(at)
@@ -478,7 +476,7 @@ def test_the_page_opens_with_what_could_fail_and_the_headlines(ledger, tmp_path:
     assert "C053" in html[html.index('id="not-matched"') : html.index('id="reproduced"')]
 
 
-def test_headlines_show_both_sides_of_a_result(ledger) -> None:
+def test_headlines_show_both_sides_of_a_result(ledger):
     """The RMSE of all points stands beside the one without outliers, which is a bound that is met."""
     shown = headlines(ledger, NAMED)
     assert 20 <= len(shown) <= 35
@@ -495,7 +493,7 @@ def test_headlines_show_both_sides_of_a_result(ledger) -> None:
     ("ours", "sigma", "verdict"),
     [(-0.5, 0.2, REPRODUCED), (-0.5, 0.3, NOT_MATCHED), (0.5, 0.2, NOT_MATCHED), (-0.5, np.nan, REPRODUCED)],
 )
-def test_a_direction_counts_beyond_two_sigmas(entries, ours: float, sigma: float, verdict: str) -> None:
+def test_a_direction_counts_beyond_two_sigmas(entries, ours, sigma, verdict):
     entry = next(e for e in entries if e.name == "C312 narrow beam")
     assert (entry.rule, entry.value, entry.basis) == ("at most", 0.0, "direction")
     assert verdict_of(entry, Found(value=ours, sigma=sigma))[0] == verdict

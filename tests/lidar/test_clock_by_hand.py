@@ -34,14 +34,14 @@ def adjusted(monkeypatch: pytest.MonkeyPatch, *, copies: int, by_attitude_s: flo
     return fine_offset(None, None, None, mount, None, ends_s=(0.0, 20.0), rough_s=0.0)
 
 
-def test_twice_as_many_dependent_points_leave_the_sigma_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_twice_as_many_dependent_points_leave_the_sigma_as_it_is(monkeypatch):
     one, two = (adjusted(monkeypatch, copies=n, by_attitude_s=0.0) for n in (1, 2))
     assert one.offset_s == pytest.approx(TRUE_S, abs=5 * one.sigma_offset_s)
     for name in ("offset_s", "sigma_offset_s", "sigma_drift"):
         assert getattr(two, name) == pytest.approx(getattr(one, name), rel=1e-6), name
 
 
-def test_the_share_of_the_attitudes_adds_in_squares(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_share_of_the_attitudes_adds_in_squares(monkeypatch):
     """To the offset as it is, to the drift as the slope of even values over the span."""
     without, with_it = (adjusted(monkeypatch, copies=1, by_attitude_s=s) for s in (0.0, 1e-4))
     assert with_it.sigma_offset_s == pytest.approx(np.hypot(without.sigma_offset_s, 1e-4))
@@ -51,7 +51,7 @@ def test_the_share_of_the_attitudes_adds_in_squares(monkeypatch: pytest.MonkeyPa
     assert with_it.facts["sigma_by_attitudes_s"] == 1e-4
 
 
-def test_scores_of_one_moment_are_one_observation() -> None:
+def test_scores_of_one_moment_are_one_observation():
     """Twice the points double weight and scores: the covariance stays; moments that differ add."""
     rng = np.random.default_rng(6)
     t = np.repeat(np.arange(0.0, 60.0, 5.0) + 0.05, 3)  # farther apart than errors last
@@ -63,7 +63,7 @@ def test_scores_of_one_moment_are_one_observation() -> None:
     assert once == pytest.approx(sums.T @ sums / 25.0)
 
 
-def test_scores_of_neighbours_count_by_how_near_they_are() -> None:
+def test_scores_of_neighbours_count_by_how_near_they_are():
     """Newey and West: lag j of L counts by 1 - j / (L + 1), on both sides."""
     t = np.array([0.05, 0.05 + 3 * STEP_S])
     scores = np.zeros((2, 8))
@@ -73,7 +73,7 @@ def test_scores_of_neighbours_count_by_how_near_they_are() -> None:
     assert found[0, 0] == pytest.approx(4.0 + 25.0 + 2 * 10.0 * (1 - 3 / (lags + 1)))
 
 
-def test_pairs_of_sweeps_that_overlap_are_no_new_observations(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_pairs_of_sweeps_that_overlap_are_no_new_observations(monkeypatch):
     """A misfit of 1.21 beside 1: sqrt(0.21 n), with n the pairs that share no time."""
     n = 900
     t = np.tile(np.arange(n)[:, None] * STEP_S, 3)
@@ -106,7 +106,7 @@ def turning(rates: tuple[float, float, float], valid: list[bool]) -> Trajectory:
     )
 
 
-def test_turns_of_the_body_are_summed_and_gaps_counted() -> None:
+def test_turns_of_the_body_are_summed_and_gaps_counted():
     valid = [True] * 4 + [False] + [True] * 6
     theta = clock._Theta.of(turning((0.3, -0.2, 0.1), valid))
     assert theta.t_s == pytest.approx(np.delete(0.1 * np.arange(11), 4))
@@ -119,7 +119,7 @@ def test_turns_of_the_body_are_summed_and_gaps_counted() -> None:
     assert theta.covers(starts, ends).tolist() == [False, True, False, True, False]
 
 
-def test_what_a_trajectory_leaves_unexplained_by_hand() -> None:
+def test_what_a_trajectory_leaves_unexplained_by_hand():
     """A constant part of each component counts for nothing; rows with no poses are left out, to a fifth."""
     theta = clock._Theta.of(turning((0.3, -0.2, 0.1), [True] * 11))
     start = np.array([0.05, 0.1, 0.15, 0.2, 0.7])
@@ -136,7 +136,7 @@ def test_what_a_trajectory_leaves_unexplained_by_hand() -> None:
     assert np.isnan(clock._misfit(turns, theta, weight, 5.75))
 
 
-def test_surroundings_that_are_plane_are_surfaces() -> None:
+def test_surroundings_that_are_plane_are_surfaces():
     rng = np.random.default_rng(2)
     flat = np.column_stack([rng.uniform(0, 4, (400, 2)), 0.01 * rng.standard_normal(400)])
     _, normal, plane = clock._normals(flat)
@@ -149,7 +149,7 @@ def test_surroundings_that_are_plane_are_surfaces() -> None:
     assert not clock._normals(flat[: clock._FEWEST_POINTS - 1])[2].any()
 
 
-def test_rows_are_what_a_wrong_time_and_mount_do_to_distances_from_planes() -> None:
+def test_rows_are_what_a_wrong_time_and_mount_do_to_distances_from_planes():
     """A boat that drives and turns before plane spots; late by 2 ms, its mount turned and moved."""
     trajectory, spots = spots_seen_again()
     mount = Rigid(

@@ -67,7 +67,7 @@ def write_cloud(path: Path, n: int, frame=FRAME) -> np.ndarray:
     return xyz
 
 
-def test_map_export_agrees_with_an_independent_transformation(tmp_path: Path) -> None:
+def test_map_export_agrees_with_an_independent_transformation(tmp_path):
     xyz = write_cloud(tmp_path / "local.laz", 500)
     export_map(tmp_path / "local.laz", tmp_path / "map.laz", "EPSG:25833", chunk_points=123)
     found, header = read_laz(tmp_path / "map.laz")
@@ -82,14 +82,14 @@ def test_map_export_agrees_with_an_independent_transformation(tmp_path: Path) ->
     np.testing.assert_array_equal(found["ring"], np.arange(500) % 16)
 
 
-def test_a_foreign_cloud_is_not_exported(tmp_path: Path) -> None:
+def test_a_foreign_cloud_is_not_exported(tmp_path):
     write_cloud(tmp_path / "map.laz", 5, frame=CRS(25833))
     with pytest.raises(InputError, match="not in a local frame"):
         export_map(tmp_path / "map.laz", tmp_path / "again.laz", "EPSG:25833")
 
 
 @pytest.mark.parametrize("most", [1, 10, 333, 999, 1000, 5000])
-def test_a_sample_is_even_and_not_too_large(tmp_path: Path, most: int) -> None:
+def test_a_sample_is_even_and_not_too_large(tmp_path, most):
     write_cloud(tmp_path / "cloud.laz", 1000)
     sample = sample_cloud(tmp_path / "cloud.laz", most)
     n = len(sample["t_gps_s"])
@@ -99,9 +99,7 @@ def test_a_sample_is_even_and_not_too_large(tmp_path: Path, most: int) -> None:
 
 
 @pytest.mark.parametrize("module", ["lidar.cloud:sample_cloud", "figures.viewer.page:read_view"])
-def test_a_sample_holds_no_piece_of_the_cloud(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, module: str
-) -> None:
+def test_a_sample_holds_no_piece_of_the_cloud(tmp_path, monkeypatch, module):
     """Views of its pieces would keep all points: pictures of 19 million took 2 GB."""
     write_cloud(tmp_path / "cloud.laz", 1000)
     held: list[int] = []
@@ -153,7 +151,7 @@ T0_S = float(gps_from_unix(1453364282, 340595))  # first packet, PROVENANCE: 08:
 
 
 @pytest.mark.real
-def test_every_point_of_a_real_log_is_accounted_for(data_dir: Path, tmp_path: Path) -> None:
+def test_every_point_of_a_real_log_is_accounted_for(data_dir, tmp_path):
     log = lidar_reader([data_dir / LOG])
     clock = log.scan().clock
     trajectory = still(T0_S + 0.1, T0_S + 10.0)  # the first 0.1 s have no pose
@@ -186,7 +184,7 @@ def test_every_point_of_a_real_log_is_accounted_for(data_dir: Path, tmp_path: Pa
 
 
 @pytest.mark.real
-def test_the_size_of_the_pieces_changes_nothing(data_dir: Path, tmp_path: Path) -> None:
+def test_the_size_of_the_pieces_changes_nothing(data_dir, tmp_path):
     log = lidar_reader([data_dir / LOG])
     clock, trajectory = log.scan().clock, still(T0_S, T0_S + 10.0)
     lonely = {"isolated_radius_m": 0.1, "isolated_neighbours": 10}
@@ -212,7 +210,7 @@ def test_the_size_of_the_pieces_changes_nothing(data_dir: Path, tmp_path: Path) 
 
 
 @pytest.mark.real
-def test_an_unlikely_water_level_is_told(data_dir: Path, tmp_path: Path, caplog) -> None:
+def test_an_unlikely_water_level_is_told(data_dir, tmp_path, caplog):
     log = lidar_reader([data_dir / LOG])
     clock, trajectory = log.scan().clock, still(T0_S, T0_S + 10.0)
     wet = Filters(below_water_m=0.0, below_water_sigmas=0.0, water_line_ics_m=-0.5, mirror_ghosts=False)
@@ -258,7 +256,7 @@ def one_shot(t_gps_s: float) -> PointBlock:
     )
 
 
-def test_every_column_of_the_cloud_by_hand(tmp_path: Path) -> None:
+def test_every_column_of_the_cloud_by_hand(tmp_path):
     """Read back with laspy alone: writer and reader share their names, so both may err alike."""
     sigma, correlation = np.diag([0.010, 0.020, 0.030]), np.eye(3)
     correlation[0, 1] = correlation[1, 0] = 0.1
@@ -319,7 +317,7 @@ def test_every_column_of_the_cloud_by_hand(tmp_path: Path) -> None:
     assert units == {"reason": "1", "t_gps_s": "s"} | dict.fromkeys(list(units)[2:], "m")
 
 
-def test_the_height_above_the_boat_has_less_error_than_the_height() -> None:
+def test_the_height_above_the_boat_has_less_error_than_the_height():
     """The error of the boat's own height is in both: of 50 mm with the boat's 30 mm 40 mm are left."""
     cov = np.zeros((2, 6, 6))
     cov[:, 2, 2] = 0.03**2
@@ -368,7 +366,7 @@ class Slices:
             )
 
 
-def test_windows_know_the_neighbours_of_all(tmp_path: Path) -> None:
+def test_windows_know_the_neighbours_of_all(tmp_path):
     """The same points, counts and removed ones as of the whole log, which no window has by itself."""
     log, boat = Slices(), still(4.0e8 - 1.0, 4.0e8 + 21.0)
     how = settings(max_range_m=50.0, filters={"isolated_radius_m": 0.3, "isolated_neighbours": 8})

@@ -40,7 +40,7 @@ def boards() -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
+def folder(tmp_path):
     """Photographs and cloud of the usual boards."""
     Boards().record(tmp_path)
     return tmp_path
@@ -63,7 +63,7 @@ def coloured(folder: Path, *, occlusion: bool = True, **settings: float) -> tupl
     return read_laz(out)[0], counts.set_index("reason")["n"]
 
 
-def test_points_behind_others_take_no_colour_from_them(folder: Path) -> None:
+def test_points_behind_others_take_no_colour_from_them(folder):
     """Two-sided: with the test hardly any wrong colour and nearly all that is seen; without, many wrong."""
     xyz, red = boards()
     cloud, counts = coloured(folder)
@@ -80,7 +80,7 @@ def test_points_behind_others_take_no_colour_from_them(folder: Path) -> None:
     assert wrong.sum() / (~red).sum() > 0.05
 
 
-def test_everything_else_of_the_cloud_stays(folder: Path) -> None:
+def test_everything_else_of_the_cloud_stays(folder):
     before, _ = read_laz(folder / "points.laz")
     cloud, counts = coloured(folder)
     for name, values in before.items():
@@ -95,7 +95,7 @@ def test_everything_else_of_the_cloud_stays(folder: Path) -> None:
     assert cloud["age_s"][k] == pytest.approx(START_S + cloud["image"][k] - cloud["t_gps_s"][k], abs=1e-3)
 
 
-def test_nothing_below_a_mask_tints_a_point(folder: Path) -> None:
+def test_nothing_below_a_mask_tints_a_point(folder):
     """Each colour is interpolated from four pixels: none of them is masked."""
     mask = np.full((HEIGHT, WIDTH), 255, np.uint8)
     mask[: HEIGHT // 2] = 0
@@ -112,7 +112,7 @@ def test_nothing_below_a_mask_tints_a_point(folder: Path) -> None:
     assert (after["rgb"] == before["rgb"]).all()
 
 
-def test_masks_time_and_distance_leave_points_out_with_their_reason(folder: Path) -> None:
+def test_masks_time_and_distance_leave_points_out_with_their_reason(folder):
     mask = np.full((HEIGHT, WIDTH), 255, np.uint8)
     mask[: HEIGHT // 2] = 0
     for name in NAMES:
@@ -132,7 +132,7 @@ def test_masks_time_and_distance_leave_points_out_with_their_reason(folder: Path
     assert late["not_shown"] > 0.99 * late.sum()
 
 
-def test_what_cannot_be_used_is_refused(folder: Path) -> None:
+def test_what_cannot_be_used_is_refused(folder):
     (folder / NAMES[1]).write_bytes((folder / NAMES[1]).read_bytes()[:200])
     with pytest.raises(InputError, match=r"image_1\.png: no picture"):
         coloured(folder)
@@ -162,7 +162,7 @@ BENT = Camera(
 
 
 @pytest.mark.parametrize("camera", [BENT, FISHEYE], ids=["perspective", "fisheye beyond 90 degrees"])
-def test_compiled_pixels_are_those_of_the_camera(camera: Camera, rng: np.random.Generator) -> None:
+def test_compiled_pixels_are_those_of_the_camera(camera, rng):
     """Every point that the camera shows, and no other; the fisheye sees behind itself."""
     R = np.linalg.qr(rng.normal(size=(3, 3)))[0]
     R *= np.sign(np.linalg.det(R))
@@ -198,7 +198,7 @@ def exposed(rng: np.random.Generator, gains: np.ndarray, *, noise: float) -> tup
     return view, values
 
 
-def test_exposures_are_found_and_their_sigmas_too_small_by_a_known_factor(rng: np.random.Generator) -> None:
+def test_exposures_are_found_and_their_sigmas_too_small_by_a_known_factor(rng):
     true = np.exp(rng.normal(0, 0.2, (25, 3)))
     view, values = exposed(rng, true, noise=0.1)
     view[view == 24] = -1  # the last one shares no points
@@ -218,7 +218,7 @@ def test_exposures_are_found_and_their_sigmas_too_small_by_a_known_factor(rng: n
     assert (alone[0] == 1).all()
 
 
-def test_lenses_of_one_exposure_are_evened_by_what_they_show_at_once(rng: np.random.Generator) -> None:
+def test_lenses_of_one_exposure_are_evened_by_what_they_show_at_once(rng):
     """Points that the back lens shows at another time than the front lens are seen from their sunny side."""
     n, true = 12_000, np.array([1.0, 0.85, 1.2, 1.12, 0.85 * 1.12, 1.2 * 1.12])
     lens, t = np.repeat([0, 1], 3), np.tile([10.0, 15.0, 20.0], 2)
@@ -244,7 +244,7 @@ def test_lenses_of_one_exposure_are_evened_by_what_they_show_at_once(rng: np.ran
     np.testing.assert_allclose(apart, plain, rtol=1e-12)
 
 
-def test_photographs_of_other_exposure_give_the_same_colour(folder: Path) -> None:
+def test_photographs_of_other_exposure_give_the_same_colour(folder):
     """A third of the light in one photograph: without gains its points are darker, with them alike."""
     picture = np.asarray(Image.open(folder / NAMES[2])).astype(float)
     dark = 255 * ((picture / 255) ** GAMMA / 3) ** (1 / GAMMA)

@@ -60,7 +60,7 @@ class Passage:
 
 
 @pytest.fixture(scope="module")
-def passages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Passage]:
+def passages(tmp_path_factory):
     """Three passages, each of a scene of its own."""
     out = {}
     for seed, (name, true) in enumerate(TRUE.items()):
@@ -82,7 +82,7 @@ def passages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Passage]:
     return out
 
 
-def test_a_clock_that_is_off_is_found(passages: dict[str, Passage]) -> None:
+def test_a_clock_that_is_off_is_found(passages):
     found = passages["late"].found.loc["clock_s"]
     assert found["optimum"] == pytest.approx(0.3, abs=0.05)
     assert abs(found["optimum"] - 0.3) < 4 * found["sigma"]
@@ -92,7 +92,7 @@ def test_a_clock_that_is_off_is_found(passages: dict[str, Passage]) -> None:
     assert any(line.startswith(told) for line in passages["late"].warnings)
 
 
-def test_a_mount_that_is_off_is_found(passages: dict[str, Passage]) -> None:
+def test_a_mount_that_is_off_is_found(passages):
     """One degree: told within its sigma, and the axis by name."""
     found = passages["turned"].found.loc["turn_y_deg"]
     assert found["optimum"] == pytest.approx(1.0, abs=0.1)
@@ -100,7 +100,7 @@ def test_a_mount_that_is_off_is_found(passages: dict[str, Passage]) -> None:
     assert found["verdict"] == "shifted"
 
 
-def test_what_fits_is_silent(passages: dict[str, Passage]) -> None:
+def test_what_fits_is_silent(passages):
     found = passages["right"].found
     assert (found["verdict"] == "fits").all()
     assert (found["optimum"].abs() < 0.1).all()
@@ -109,9 +109,7 @@ def test_what_fits_is_silent(passages: dict[str, Passage]) -> None:
     assert passages["right"].warnings == []
 
 
-def test_sigmas_of_optima_hold_over_scenes(
-    passages: dict[str, Passage], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_sigmas_of_optima_hold_over_scenes(passages, monkeypatch):
     """Blotches without shadows: what parts of a scene scatter is all that there is, neither more nor less."""
     monkeypatch.setattr("thalweg.lidar.colour_check.COMMON_DEG", 1e-9)
     squares = []
@@ -125,9 +123,7 @@ def test_sigmas_of_optima_hold_over_scenes(
     assert low < np.mean(squares) < high
 
 
-def test_the_check_has_the_power_that_it_states(
-    rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_check_has_the_power_that_it_states(rng, monkeypatch):
     """Scenes whose edges lie off by what scenes have in common: what is right is left alone, an error of the
     size ``detects`` is called in 95 of 100, one of half that size in 7 of 10 is not.
     """
@@ -152,7 +148,7 @@ def test_the_check_has_the_power_that_it_states(
     assert 0.91 < share[1.0] < 0.99
 
 
-def test_noise_tells_nothing(rng: np.random.Generator) -> None:
+def test_noise_tells_nothing(rng):
     """Points and pictures of different things: no optimum is made up."""
     xyz = np.column_stack([rng.uniform(-3, 3, 3000), rng.uniform(-2, 2, 3000), np.full(3000, WALL_M)])
     overlays = [
@@ -196,7 +192,7 @@ def flat(picture: Path) -> AnyArray:
 
 
 @pytest.fixture(scope="module")
-def acfr(data_dir: Path) -> Path:
+def acfr(data_dir):
     folder = data_dir / "acfr_vlp16_camera" / "data" / "vlp"
     if not (folder / "poses.csv").is_file():
         pytest.skip(f"no board recordings at {folder}: see the list of recordings in THALWEG_DATA")
@@ -238,7 +234,7 @@ def auc(folder: Path, work: Path, board: int, T: Rigid) -> float:
 
 
 @pytest.mark.real
-def test_real_boards_in_colour(acfr: Path, tmp_path: Path) -> None:
+def test_real_boards_in_colour(acfr, tmp_path):
     """White squares of the board reflect more, where colours stand where they belong."""
     T = published(acfr)
     off = Rigid(R=T.R @ Rotation.from_rotvec([0, np.deg2rad(2.0), 0]).as_matrix(), shift_m=T.shift_m)
@@ -247,7 +243,7 @@ def test_real_boards_in_colour(acfr: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.real
-def test_real_boards_tell_a_wrong_mount(acfr: Path) -> None:
+def test_real_boards_tell_a_wrong_mount(acfr):
     """Whole scans. A camera turned by one degree is found, whatever the published place itself is off."""
     T = published(acfr)
     overlays = []

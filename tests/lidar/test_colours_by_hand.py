@@ -9,7 +9,7 @@ from thalweg.lidar.colour_check import SHIFTS, Overlay, _motion, find_optima
 KIND = "turn_x_deg"
 
 
-def test_a_later_picture_is_where_the_camera_was_later() -> None:
+def test_a_later_picture_is_where_the_camera_was_later():
     """A camera that moves and turns evenly, about an axis of the world; all three axes and signs."""
     turn, speed = np.array([0.3, -0.2, 0.4]), np.array([1.0, -2.0, 0.5])
     R0 = Rotation.from_euler("xyz", [40.0, -20.0, 70.0], degrees=True)
@@ -44,7 +44,7 @@ def pairs(peak: float) -> np.ndarray:
     return np.tile(one[None, :, :, None], (3, 1, 1, 8))
 
 
-def test_a_verdict_begins_at_three_sigmas() -> None:
+def test_a_verdict_begins_at_three_sigmas():
     """Parts that agree leave the common sigma alone: optima in steps across three times that."""
     at = np.arange(0.0, 0.81, 0.04)
     rows = [find_optima({KIND: pairs(peak)}, 1.0).iloc[0] for peak in (*at, *-at)]

@@ -1,7 +1,5 @@
 """Clouds sorted on the disk: what readers of COPC find, and that memory does not decide it."""
 
-from pathlib import Path
-
 import laspy
 import numpy as np
 import pytest
@@ -16,7 +14,7 @@ from thalweg.lidar.cloud import EXTRA_DIMENSIONS
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
 
 
-def test_copc_holds_each_record_and_is_found_by_place_and_level(tmp_path: Path) -> None:
+def test_copc_holds_each_record_and_is_found_by_place_and_level(tmp_path):
     """Read by laspy's reader of COPC, as one file of LAZ, and by hand from its list of nodes."""
     rng = np.random.default_rng(7)
     x, y = rng.uniform(-100, 100, (2, 60_000))
@@ -70,7 +68,7 @@ def test_copc_holds_each_record_and_is_found_by_place_and_level(tmp_path: Path) 
     assert not (tmp_path / "b.copc.laz").exists()
 
 
-def test_the_file_is_the_same_however_little_is_in_memory(tmp_path: Path) -> None:
+def test_the_file_is_the_same_however_little_is_in_memory(tmp_path):
     """Ten kilometres of bank with clumps of a decimetre: parts of many levels, and nodes of many parts."""
     rng = np.random.default_rng(3)
     x = np.concatenate(

@@ -38,7 +38,7 @@ def random_covariance(rng: np.random.Generator, n: int, sigmas: np.ndarray) -> n
 
 
 @pytest.fixture
-def trajectory(rng: np.random.Generator) -> Trajectory:
+def trajectory(rng):
     n = 200
     s = np.arange(n) * 0.02
     R = rotation_enu_body(0.05 * np.sin(1.9 * s), 0.03 * np.sin(1.4 * s), 1.0 + 0.12 * s)
@@ -53,7 +53,7 @@ def trajectory(rng: np.random.Generator) -> Trajectory:
 
 
 @pytest.fixture
-def mount(rng: np.random.Generator) -> Rigid:
+def mount(rng):
     return Rigid(
         R=rotation_opk(0.01, -np.pi / 2 + 0.02, 0.03),
         shift_m=np.array([-0.4, 0.1, -0.5]),
@@ -90,7 +90,7 @@ def moved(
 
 
 @pytest.mark.parametrize("name", INPUTS)
-def test_each_derivative_by_differences(rng, trajectory: Trajectory, mount: Rigid, name: str) -> None:
+def test_each_derivative_by_differences(rng, trajectory, mount, name):
     if name == "time":  # near zero, where float64 resolves a step of 10 us
         trajectory = replace(trajectory, t_gps_s=trajectory.t_gps_s - trajectory.t_gps_s[0])
     xyz, t, _, _ = shots(rng, trajectory, 20)
@@ -116,7 +116,7 @@ def test_each_derivative_by_differences(rng, trajectory: Trajectory, mount: Rigi
         np.testing.assert_allclose(numeric, analytic[i, :, k], atol=1e-6)
 
 
-def test_the_kernel_agrees_with_the_slow_form(rng, trajectory: Trajectory, mount: Rigid) -> None:
+def test_the_kernel_agrees_with_the_slow_form(rng, trajectory, mount):
     xyz, t, range_m, reflectivity = shots(rng, trajectory, 5000)
     found = georeference_points(
         xyz, t, trajectory, mount, beam=BEAM, range_m=range_m, reflectivity=reflectivity
@@ -138,7 +138,7 @@ def test_the_kernel_agrees_with_the_slow_form(rng, trajectory: Trajectory, mount
     np.testing.assert_allclose(found.sigmas_m(), np.sqrt(np.diagonal(slow, axis1=1, axis2=2)), rtol=1e-6)
 
 
-def test_axes_are_the_derivatives_of_the_rotation() -> None:
+def test_axes_are_the_derivatives_of_the_rotation():
     angles = np.array([0.1, -0.2, 2.1])
     axes = attitude_axes(rotation_enu_body(*angles)[None])[0]
     body = np.array([3.0, -7.0, 2.0])
@@ -153,7 +153,7 @@ def test_axes_are_the_derivatives_of_the_rotation() -> None:
         np.testing.assert_allclose(analytic, numeric, atol=1e-8)
 
 
-def test_axes_of_the_mount_angles() -> None:
+def test_axes_of_the_mount_angles():
     angles, step = np.array([0.3, -1.2, 0.7]), 1e-6
     axes = opk_axes(angles[0], angles[1])
     for k in range(3):
@@ -163,7 +163,7 @@ def test_axes_of_the_mount_angles() -> None:
         np.testing.assert_allclose([skew[2, 1], skew[0, 2], skew[1, 0]], axes[:, k], atol=1e-8)
 
 
-def test_published_totals_of_the_thesis() -> None:
+def test_published_totals_of_the_thesis():
     """T Table 3.1: 54, 62, 101, 183 mm at 5, 10, 25, 50 m with its fifteen inputs.
 
     Single influences add in quadrature: attitude 0.1, 0.1, 0.2 deg, positions 20, 20, 30 mm, lidar 17 mm
@@ -192,7 +192,7 @@ def test_published_totals_of_the_thesis() -> None:
         assert abs(np.sqrt(np.trace(cov)) / total_m - 1) < 0.08, range_m
 
 
-def test_covariances_need_ranges_and_reflectivities(trajectory: Trajectory, mount: Rigid) -> None:
+def test_covariances_need_ranges_and_reflectivities(trajectory, mount):
     t = trajectory.t_gps_s[[10, 11]]
     with pytest.raises(GeometryError, match="one range and one reflectivity for each point"):
         georeference_points(np.ones((2, 3)), t, trajectory, mount, beam=BEAM)
@@ -204,12 +204,12 @@ def test_covariances_need_ranges_and_reflectivities(trajectory: Trajectory, moun
     ("change", "message"),
     [({"sigma_component_m": -0.1}, "sigma_component_m"), ({"divergence_mrad": np.nan}, "divergence_mrad")],
 )
-def test_impossible_accuracies_are_refused(change: dict, message: str) -> None:
+def test_impossible_accuracies_are_refused(change, message):
     with pytest.raises(ValidationError, match=message):
         LidarAccuracy(**({"sigma_component_m": 0.01} | change))
 
 
-def test_a_matrix_that_is_no_covariance_is_refused() -> None:
+def test_a_matrix_that_is_no_covariance_is_refused():
     bad = np.diag([1e-6, 1e-6, -1e-6, 1e-6, 1e-6, 1e-6])
     with pytest.raises(GeometryError, match="no covariance matrix"):
         Rigid(R=np.eye(3), shift_m=np.zeros(3), cov=bad)
@@ -225,7 +225,7 @@ LIDAR_ACCURACY = {
 """Section of a campaign file, by hand."""
 
 
-def test_the_footprint_is_that_of_the_full_divergence_in_milliradians() -> None:
+def test_the_footprint_is_that_of_the_full_divergence_in_milliradians():
     """3 mrad at 50 m are a footprint of 150 mm, a quarter of it 37.5 mm; 17 mm of the sensor beside it."""
     beam = LidarAccuracy(**LIDAR_ACCURACY)
     along, across = beam.variances(np.array([50.0]), np.array([100.0]))
@@ -234,7 +234,7 @@ def test_the_footprint_is_that_of_the_full_divergence_in_milliradians() -> None:
     assert np.sqrt(along[0]) == pytest.approx(np.sqrt((0.03 / 40) ** 2 + 0.017**2), rel=1e-12)
 
 
-def test_a_halved_divergence_is_seen_far_away_at_an_angle_with_good_poses(rng) -> None:
+def test_a_halved_divergence_is_seen_far_away_at_an_angle_with_good_poses(rng):
     """Drawn echoes 40 m away, met at 70 degrees, poses good to 2 mm and 0.006 degrees: there the beam rules.
 
     The errors are drawn as the sensor makes them, in the footprint of its 3 mrad; the prediction goes the way
@@ -282,14 +282,14 @@ def test_a_halved_divergence_is_seen_far_away_at_an_angle_with_good_poses(rng) -
     assert ratio[1.5] > 1.7
 
 
-def test_factors_widen_range_and_directions_and_the_place_in_the_footprint() -> None:
+def test_factors_widen_range_and_directions_and_the_place_in_the_footprint():
     beam = LidarAccuracy(sigma_component_m=0.01, divergence_mrad=3.0, footprint_share=0.25, sigma_weak_m=0.03)
     wide = beam.scaled(component=2.0, footprint=1.5)
     assert (wide.sigma_component_m, wide.sigma_weak_m) == pytest.approx((0.02, 0.06))
     assert (wide.footprint_share, wide.divergence_rad) == pytest.approx((0.375, 0.003))
 
 
-def test_beside_an_invalid_node_there_is_no_covariance(trajectory: Trajectory, mount: Rigid) -> None:
+def test_beside_an_invalid_node_there_is_no_covariance(trajectory, mount):
     """Nodes every 0.02 s, the eleventh of them invalid: nothing from 0.18 to 0.22 s."""
     valid = np.ones(200, dtype=bool)
     valid[10] = False

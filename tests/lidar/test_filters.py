@@ -104,7 +104,7 @@ def score(found: np.ndarray, truth: np.ndarray, reason: Reason) -> tuple[float, 
     return hit / np.sum(found == reason), hit / np.sum(truth == reason)
 
 
-def test_every_point_of_the_river_meets_its_fate(rng: np.random.Generator) -> None:
+def test_every_point_of_the_river_meets_its_fate(rng):
     data = scene(rng)
     settings = SETTINGS.replace(max_sigma_m=0.2)
     found, truth = two_passes(data, settings), data["truth"]
@@ -133,7 +133,7 @@ def test_every_point_of_the_river_meets_its_fate(rng: np.random.Generator) -> No
 
 
 @pytest.mark.parametrize(("slope_deg", "least"), [(0.0, 1.0), (0.5, 0.98), (1.0, 0.87), (2.0, 0.60)])
-def test_waves_blur_the_names_of_ghosts(rng: np.random.Generator, slope_deg: float, least: float) -> None:
+def test_waves_blur_the_names_of_ghosts(rng, slope_deg, least):
     """The shares that the documentation states: 1, 0.998, 0.91, 0.66, less four sigmas of 2000 points."""
     data = scene(rng, slope_deg=slope_deg)
     precision, recall = score(two_passes(data, SETTINGS), data["truth"], Reason.MIRROR_GHOST)
@@ -159,7 +159,7 @@ def vlp16_on_a_hillside(rng: np.random.Generator, speed_mps: float, seconds: flo
 
 
 @pytest.mark.parametrize("speed_mps", [0.4, 1.0])
-def test_little_is_lost_at_the_spacing_of_the_scanner(rng: np.random.Generator, speed_mps: float) -> None:
+def test_little_is_lost_at_the_spacing_of_the_scanner(rng, speed_mps):
     """Shots 0.2 degrees apart in a turn; from turn to turn the boat is 4 or 10 cm farther."""
     points = vlp16_on_a_hillside(rng, speed_mps, seconds=20.0)
     data = some(len(points), points_wcs_m=points)
@@ -170,13 +170,13 @@ def test_little_is_lost_at_the_spacing_of_the_scanner(rng: np.random.Generator, 
     assert set(found) <= {Reason.KEPT, Reason.ISOLATED}
 
 
-def test_pieces_of_the_log_do_not_matter(rng: np.random.Generator) -> None:
+def test_pieces_of_the_log_do_not_matter(rng):
     data = scene(rng, n_bank=5000)
     np.testing.assert_array_equal(two_passes(data, SETTINGS, 1), two_passes(data, SETTINGS, 23))
 
 
 @pytest.mark.parametrize("least", [1, 2, 3, 5])
-def test_a_group_stays_if_each_has_so_many_others(least: int) -> None:
+def test_a_group_stays_if_each_has_so_many_others(least):
     """Groups of 1 to 7 points, 10 m apart from each other."""
     size = np.arange(1, 8)
     group = np.repeat(size, size)
@@ -202,7 +202,7 @@ def some(n: int, **changes: Any) -> dict[str, Any]:
     }
 
 
-def test_the_first_reason_counts() -> None:
+def test_the_first_reason_counts():
     """A point to which all reasons apply; they are taken away one by one."""
     settings = SETTINGS.replace(max_sigma_m=0.2)
     bad = some(
@@ -227,7 +227,7 @@ def test_the_first_reason_counts() -> None:
     assert [r.value for r in Reason] == list(range(10))
 
 
-def test_the_ends_of_the_limits_belong_to_the_cloud() -> None:
+def test_the_ends_of_the_limits_belong_to_the_cloud():
     data = some(
         5,
         range_m=np.array([0.5, 100.0, 0.499, 100.01, 20], np.float32),
@@ -237,7 +237,7 @@ def test_the_ends_of_the_limits_belong_to_the_cloud() -> None:
     assert found.tolist() == [0, 0, Reason.TOO_NEAR, Reason.TOO_FAR, 0]
 
 
-def test_filters_can_be_switched_off() -> None:
+def test_filters_can_be_switched_off():
     data = some(2, x_ics_m=np.float32([[0.3, 0, 0]] * 2), points_wcs_m=np.array([[0.0, 0, LEVEL_M - 2]] * 2))
     hull_off = SETTINGS.replace(hull_low_ics_m=None, hull_high_ics_m=None)
     water_off = hull_off.replace(below_water_m=None)
@@ -250,7 +250,7 @@ def test_filters_can_be_switched_off() -> None:
     assert not SETTINGS.replace(mirror_ghosts=False, isolated_neighbours=0).needs_occupancy
 
 
-def test_ghosts_are_told_apart_only_on_demand(rng: np.random.Generator) -> None:
+def test_ghosts_are_told_apart_only_on_demand(rng):
     data = scene(rng, n_bank=5000)
     with_names = two_passes(data, SETTINGS)
     without = two_passes(data, SETTINGS.replace(mirror_ghosts=False))
@@ -263,7 +263,7 @@ def test_ghosts_are_told_apart_only_on_demand(rng: np.random.Generator) -> None:
     assert not np.any(lonely == Reason.ISOLATED)
 
 
-def test_an_image_is_mirrored_at_the_water_of_its_own_shot() -> None:
+def test_an_image_is_mirrored_at_the_water_of_its_own_shot():
     """The river falls by 2 m along the survey; each ghost meets its target at its own level only."""
     level = np.repeat([100.0, 98.0], 4)
     targets = some(8, water_level_m=level)
@@ -276,7 +276,7 @@ def test_an_image_is_mirrored_at_the_water_of_its_own_shot() -> None:
     assert two_passes(data, SETTINGS).tolist() == [0] * 8 + [Reason.BELOW_WATER] * 2
 
 
-def test_water_level_follows_the_boat() -> None:
+def test_water_level_follows_the_boat():
     trajectory: Any = SimpleNamespace(
         t_gps_s=np.array([10.0, 20.0]), position_wcs_m=np.array([[0.0, 0, 5.0], [0, 0, 6.0]])
     )
@@ -284,7 +284,7 @@ def test_water_level_follows_the_boat() -> None:
     np.testing.assert_allclose(found, [4.8, 5.3, 5.8], atol=1e-12)  # float64 of numbers near 5
 
 
-def test_misfit_is_named() -> None:
+def test_misfit_is_named():
     with pytest.raises(GeometryError, match=r"range_m.shape=\(2,\).*each of 3 points"):
         classify(**some(3, range_m=np.zeros(2)), settings=SETTINGS, **RANGES)
     with pytest.raises(GeometryError, match=r"max_sigma_m is set, but no sigmas"):
@@ -295,7 +295,7 @@ def test_misfit_is_named() -> None:
 # ---------------------------------------------------------------- counts
 
 
-def test_counts_add_up(rng: np.random.Generator) -> None:
+def test_counts_add_up(rng):
     data = scene(rng, n_bank=3000)
     found = two_passes(data, SETTINGS)
     counts = sum(count_reasons(part) for part in np.array_split(found, 5))
@@ -310,7 +310,7 @@ def test_counts_add_up(rng: np.random.Generator) -> None:
 # ---------------------------------------------------------------- settings
 
 
-def test_default_box_holds_the_boat_and_the_water_that_it_stirs() -> None:
+def test_default_box_holds_the_boat_and_the_water_that_it_stirs():
     """HyDrone: 1.17 m x 0.74 m (T 2.1), INS amidships; levers of the demo campaign."""
     low, high = np.array(SETTINGS.hull_low_ics_m), np.array(SETTINGS.hull_high_ics_m)
     corners = [[sx * 1.17 / 2, sy * 0.74 / 2, 0.2] for sx in (-1, 1) for sy in (-1, 1)]
@@ -330,13 +330,13 @@ def test_default_box_holds_the_boat_and_the_water_that_it_stirs() -> None:
         ({"max_sigma_m": 0.0}, "greater than 0"),
     ],
 )
-def test_wrong_settings_are_refused(changes: dict[str, Any], answer: str) -> None:
+def test_wrong_settings_are_refused(changes, answer):
     with pytest.raises(ValidationError, match=answer):
         Filters(**changes)
 
 
 @pytest.mark.parametrize(("range_m", "fate"), [(30.0, Reason.ISOLATED), (60.0, Reason.KEPT)])
-def test_far_points_may_lie_wider_apart(range_m: float, fate: Reason) -> None:
+def test_far_points_may_lie_wider_apart(range_m, fate):
     """Four points 0.9 m apart: lonely near the boat, an ordinary surface where beams have spread."""
     points = np.array([[50.0, 0.0, 105.0], [50.9, 0.0, 105.0], [50.0, 0.9, 105.0], [50.9, 0.9, 105.0]])
     n, grid = len(points), Occupancy(0.45)
@@ -357,7 +357,7 @@ def test_far_points_may_lie_wider_apart(range_m: float, fate: Reason) -> None:
 
 
 @pytest.mark.parametrize(("sigma_up_m", "fate"), [(0.01, Reason.BELOW_WATER), (0.10, Reason.KEPT)])
-def test_the_margin_below_the_water_grows_with_sigma(sigma_up_m: float, fate: Reason) -> None:
+def test_the_margin_below_the_water_grows_with_sigma(sigma_up_m, fate):
     """12 cm below the water is a clear finding with 1 cm of sigma, and none with 10 cm."""
     reasons = classify(
         timed=np.ones(1, bool),

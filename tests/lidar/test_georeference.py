@@ -52,7 +52,7 @@ def random_points(rng: np.random.Generator, trajectory: Trajectory, n: int = 500
     return xyz, t
 
 
-def test_kernel_agrees_with_scipy(rng: np.random.Generator) -> None:
+def test_kernel_agrees_with_scipy(rng):
     trajectory = make_trajectory()
     xyz, t = random_points(rng, trajectory, 500)
     points, _ = world(xyz, t, trajectory, MOUNT)
@@ -63,7 +63,7 @@ def test_kernel_agrees_with_scipy(rng: np.random.Generator) -> None:
     np.testing.assert_allclose(points, peer, atol=1e-7)
 
 
-def test_order_of_points_does_not_matter(rng: np.random.Generator) -> None:
+def test_order_of_points_does_not_matter(rng):
     trajectory = make_trajectory()
     xyz, t = random_points(rng, trajectory)
     points, _ = world(xyz, t, trajectory, MOUNT)
@@ -72,7 +72,7 @@ def test_order_of_points_does_not_matter(rng: np.random.Generator) -> None:
     np.testing.assert_array_equal(shuffled, points[order])
 
 
-def test_no_pose_outside_in_gaps_and_without_time() -> None:
+def test_no_pose_outside_in_gaps_and_without_time():
     trajectory = make_trajectory(invalid=slice(50, 60))
     t0 = trajectory.t_gps_s[0]
     t = np.array(
@@ -84,7 +84,7 @@ def test_no_pose_outside_in_gaps_and_without_time() -> None:
     assert np.isfinite(points[has_pose]).all()
 
 
-def test_sign_of_the_nominal_mount() -> None:
+def test_sign_of_the_nominal_mount():
     """With phi = -90 deg the spin axis (scs z) points backwards, so azimuth sweeps the cross-section."""
     mount = Rigid(R=rotation_opk(0.0, -np.pi / 2, 0.0), shift_m=np.zeros(3))
     n = 2
@@ -105,18 +105,18 @@ def test_sign_of_the_nominal_mount() -> None:
     np.testing.assert_allclose(axes[0], [0, 0, -1], atol=1e-12)  # scs x -> down
 
 
-def test_a_matrix_that_is_no_rotation_is_refused() -> None:
+def test_a_matrix_that_is_no_rotation_is_refused():
     with pytest.raises(GeometryError, match="no rotation matrix"):
         Rigid(R=np.diag([1.0, 1.0, -1.0]), shift_m=np.zeros(3))
 
 
-def test_shapes_are_named_in_the_message() -> None:
+def test_shapes_are_named_in_the_message():
     with pytest.raises(GeometryError, match=r"xyz.shape=\(4, 2\)"):
         georeference_points(np.zeros((4, 2)), np.zeros(4), make_trajectory(), MOUNT)
 
 
 @pytest.mark.real
-def test_real_airborne_shots_reach_the_published_point(data_dir) -> None:
+def test_real_airborne_shots_reach_the_published_point(data_dir):
     """georef_optech_csd: 1000 shots with pose and boresight; PDAL's unit test publishes point 0."""
     raw = (data_dir / "georef_optech_csd" / "sample.csd").read_bytes()
     head = struct.Struct("<4s64s32sfHHddIH")
@@ -183,7 +183,7 @@ def optech_rotation(roll: float, pitch: float, heading: float) -> np.ndarray:
     return Rotation.from_euler("ZXY", [-heading, pitch, roll]).as_matrix()
 
 
-def test_points_at_the_first_and_the_last_node_have_its_pose() -> None:
+def test_points_at_the_first_and_the_last_node_have_its_pose():
     """Each alone, so that the search for the interval begins at it; a hair beyond there is no pose."""
     trajectory = make_trajectory(5)
     xyz = np.array([[3.0, -2.0, 1.0]])

@@ -14,7 +14,7 @@ from thalweg.ingest.registry import lidar_reader
 from thalweg.ingest.tracks import read_pos
 from thalweg.ingest.velodyne import clock as velodyne_clock
 from thalweg.lidar import clock as motion, clock_from_motion, clock_from_sentences, with_stated_clock
-from thalweg.lidar.clock import LidarOffset, attitude_share_s
+from thalweg.lidar.clock import attitude_share_s
 from thalweg.navigation.ins_gnss import build_trajectory
 from thalweg.settings.sections import Filters, LidarAccuracy, LidarClockStated
 from thalweg_lab.instruments import simulate_gnss, simulate_ins, simulate_lidar
@@ -48,7 +48,7 @@ class Recorded:
 
 
 @pytest.fixture(scope="module")
-def voyage(tmp_path_factory) -> Recorded:
+def voyage(tmp_path_factory):
     """Lidar, INS and positions of a voyage, with all their errors."""
     folder = tmp_path_factory.mktemp("without_pps")
     scene, log, ins, pos = (folder / name for name in ("scene.npz", "1.pcap", "1.anpp", "1.pos"))
@@ -76,19 +76,19 @@ def true_offset_s(device_s: float) -> float:
 
 
 @pytest.fixture(scope="module")
-def turns(voyage) -> tuple:
+def turns(voyage):
     """How the scanner turned: of the log alone, whatever the trajectory."""
     return motion.sweep_turns(voyage.reader, voyage.reader.scan().clock)
 
 
 @pytest.fixture
-def same_turns(turns, monkeypatch) -> None:
+def same_turns(turns, monkeypatch):
     """Tests of another trajectory take the sweeps as they are known."""
     monkeypatch.setattr(motion, "sweep_turns", lambda *_: turns)
 
 
 @pytest.fixture(scope="module")
-def by_motion(voyage, turns) -> LidarOffset:
+def by_motion(voyage, turns):
     """The clock by the motion of the boat."""
     clock = voyage.reader.scan().clock
     with pytest.MonkeyPatch.context() as patch:
@@ -96,7 +96,7 @@ def by_motion(voyage, turns) -> LidarOffset:
         return clock_from_motion(voyage.reader, clock, voyage.trajectory, MOUNT, Filters())
 
 
-def test_motion_tells_the_time_as_well_as_it_says(voyage, by_motion) -> None:
+def test_motion_tells_the_time_as_well_as_it_says(voyage, by_motion):
     """One voyage: its square lies below 7.9 (99 %)."""
     assert not voyage.reader.scan().report.synchronised
     # attitudes of 0.1 degrees, turn rates of some degrees a second: some milliseconds
@@ -109,7 +109,7 @@ def test_motion_tells_the_time_as_well_as_it_says(voyage, by_motion) -> None:
     assert off**2 < chi2.ppf(0.995, 1)
 
 
-def test_a_trajectory_that_is_late_is_seen(voyage, by_motion, same_turns) -> None:
+def test_a_trajectory_that_is_late_is_seen(voyage, by_motion, same_turns):
     """The lidar's time follows that of the trajectory: 0.35 s later, and 0.35 s are found, to its noise."""
     late = replace(voyage.trajectory, t_gps_s=voyage.trajectory.t_gps_s + 0.35)
     stated = LidarClockStated(source="motion")
@@ -121,7 +121,7 @@ def test_a_trajectory_that_is_late_is_seen(voyage, by_motion, same_turns) -> Non
     assert moved == pytest.approx(0.35, abs=1e-3)  # planes chosen anew; a third of a sigma
 
 
-def test_a_boat_that_does_not_turn_tells_no_time(voyage, same_turns) -> None:
+def test_a_boat_that_does_not_turn_tells_no_time(voyage, same_turns):
     still = replace(
         voyage.trajectory,
         quaternion_wcs_ics=np.tile(
@@ -132,7 +132,7 @@ def test_a_boat_that_does_not_turn_tells_no_time(voyage, same_turns) -> None:
         clock_from_motion(voyage.reader, voyage.reader.scan().clock, still, MOUNT, Filters())
 
 
-def test_the_part_of_the_attitudes_is_that_of_a_swinging_error() -> None:
+def test_the_part_of_the_attitudes_is_that_of_a_swinging_error():
     """Roll of amplitude a and angular frequency w: sigma / sqrt(w r^2 T) with r^2 = a^2 w^2 / 2."""
     t = np.arange(0.0, 100.0, 0.02)
     amplitude, w, sigma = np.deg2rad(2.0), 2 * np.pi * 0.3, np.deg2rad(0.1)
@@ -152,7 +152,7 @@ def test_the_part_of_the_attitudes_is_that_of_a_swinging_error() -> None:
     assert attitude_share_s(trajectory, 0.0, 100.0) == pytest.approx(expected, rel=0.03)
 
 
-def test_sentences_without_pps(voyage) -> None:
+def test_sentences_without_pps(voyage):
     scan = voyage.reader.scan()
     stated = LidarClockStated(source="nmea")
     found = clock_from_sentences(voyage.reader, scan, stated)
@@ -169,7 +169,7 @@ def test_sentences_without_pps(voyage) -> None:
 
 
 @pytest.mark.real
-def test_sentences_of_a_real_receiver_if_its_pps_were_not_there(data_dir, monkeypatch) -> None:
+def test_sentences_of_a_real_receiver_if_its_pps_were_not_there(data_dir, monkeypatch):
     """A VLP-16 in Almeria has both: by its sentences alone its time is that of the PPS, within the sigma."""
     log = next((data_dir / "vlp16_mrpt_gps").glob("*.pcap"))
     reader = lidar_reader([log], LidarOptions())
@@ -184,9 +184,7 @@ def test_sentences_of_a_real_receiver_if_its_pps_were_not_there(data_dir, monkey
 
 @pytest.mark.real
 @pytest.mark.parametrize(("folder", "pairs"), [("vlp16_mrpt_gps", 0), ("hdl32_veloview_monterey", 11)])
-def test_real_recordings_of_a_second_that_did_not_move_tell_no_time(
-    data_dir, folder: str, pairs: int
-) -> None:
+def test_real_recordings_of_a_second_that_did_not_move_tell_no_time(data_dir, folder, pairs):
     """A room, 0.39 s, and a car that waits, 1.49 s: what is missing is named, and no time is made up."""
     reader = lidar_reader([next((data_dir / folder).rglob("*.pcap"))], LidarOptions())
     t = np.arange(1e9, 1e9 + 10.0, 0.01)

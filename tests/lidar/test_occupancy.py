@@ -34,7 +34,7 @@ def slow_count(points: np.ndarray, places: np.ndarray, radius_m: float = RADIUS_
     return ((gap**2).sum(axis=2) <= radius_m**2 + 1e-9) @ np.minimum(n, 255)
 
 
-def test_counts_are_those_of_the_touched_cells(rng: np.random.Generator) -> None:
+def test_counts_are_those_of_the_touched_cells(rng):
     points = cloud(rng)
     grid = filled(points)
     places = np.concatenate([points[::60], rng.uniform(-9, 9, (100, 3))])
@@ -44,9 +44,7 @@ def test_counts_are_those_of_the_touched_cells(rng: np.random.Generator) -> None
         np.testing.assert_array_equal(grid.near(places, enough=enough), np.minimum(expected, enough))
 
 
-def test_no_neighbour_within_the_radius_is_missed_and_none_beyond_the_reach_counts(
-    rng: np.random.Generator,
-) -> None:
+def test_no_neighbour_within_the_radius_is_missed_and_none_beyond_the_reach_counts(rng):
     points = cloud(rng, 3000)
     grid = filled(points)
     found = grid.neighbours(points)
@@ -60,7 +58,7 @@ def test_no_neighbour_within_the_radius_is_missed_and_none_beyond_the_reach_coun
     assert np.mean(at_least < at_most) > 0.5
 
 
-def test_order_and_pieces_do_not_matter(rng: np.random.Generator) -> None:
+def test_order_and_pieces_do_not_matter(rng):
     points = cloud(rng, 40_000) * 4.0  # enough blocks that the table grows
     use = rng.random(len(points)) < 0.7
     whole = Occupancy(RADIUS_M)
@@ -82,7 +80,7 @@ def test_order_and_pieces_do_not_matter(rng: np.random.Generator) -> None:
     np.testing.assert_array_equal(backwards[::-1], expected)
 
 
-def test_points_that_do_not_count_may_lie_anywhere() -> None:
+def test_points_that_do_not_count_may_lie_anywhere():
     points = np.array([[0.0, 0, 0], [np.nan, 0, 0], [np.inf, 0, 0], [1e12, 0, 0], [0.1, 0, 0]])
     grid = Occupancy(RADIUS_M)
     grid.add(points, [True, False, False, False, True])
@@ -91,7 +89,7 @@ def test_points_that_do_not_count_may_lie_anywhere() -> None:
     assert grid.neighbours(points, enough=5).tolist() == [1, 0, 0, 0, 1]
 
 
-def test_a_crowded_cell_does_not_overflow() -> None:
+def test_a_crowded_cell_does_not_overflow():
     grid = Occupancy(RADIUS_M)
     for _ in range(5):
         grid.add(np.full((100, 3), 0.1))
@@ -101,12 +99,12 @@ def test_a_crowded_cell_does_not_overflow() -> None:
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -2.0e6])
-def test_a_counted_point_without_a_place_is_refused(bad: float) -> None:
+def test_a_counted_point_without_a_place_is_refused(bad):
     with pytest.raises(GeometryError, match=r"a point at \[0.0, (nan|inf|-2000000.0), 0.0\] m.*trajectory"):
         Occupancy(RADIUS_M).add([[0.0, 0.0, 0.0], [0.0, bad, 0.0]])
 
 
-def test_wrong_use_is_refused() -> None:
+def test_wrong_use_is_refused():
     grid = Occupancy(RADIUS_M)
     with pytest.raises(GeometryError, match=r"expected \(n, 3\) points and \(n,\) where"):
         grid.add(np.zeros((3, 3)), [True])
@@ -126,7 +124,7 @@ def test_wrong_use_is_refused() -> None:
             Occupancy(radius)
 
 
-def test_memory_follows_the_surface_not_the_points(rng: np.random.Generator) -> None:
+def test_memory_follows_the_surface_not_the_points(rng):
     few, many = Occupancy(RADIUS_M), Occupancy(RADIUS_M)
     square = np.array([20.0, 20.0, 0.0])
     few.add(rng.random((50_000, 3)) * square)
@@ -135,7 +133,7 @@ def test_memory_follows_the_surface_not_the_points(rng: np.random.Generator) -> 
     assert many.n_bytes <= 1.1 * few.n_bytes
 
 
-def test_grids_of_parts_add_up_to_that_of_all(rng: np.random.Generator) -> None:
+def test_grids_of_parts_add_up_to_that_of_all(rng):
     points = rng.normal(0.0, 30.0, (60_000, 3)) * [1.0, 1.0, 0.2]
     points[:400] = [5.0, -7.0, 1.0]  # more than a cell can count, in several parts
     whole, joined = Occupancy(0.5), Occupancy(0.5)

@@ -138,7 +138,7 @@ def estimated(sample: LogSample, trajectory: Trajectory, p: PriorErrors, mount: 
     )
 
 
-def test_the_gradient_is_that_of_the_density() -> None:
+def test_the_gradient_is_that_of_the_density():
     sample, trajectory = survey(5)
     window = _window(sample, sample.xyz_wcs_m, trajectory, MOUNT, LEVER, BEAM, 0.0, LENGTH_S, EPOCH_S)
     assert window is not None
@@ -152,7 +152,7 @@ def test_the_gradient_is_that_of_the_density() -> None:
         assert gradient[i] == pytest.approx(difference, rel=1e-5, abs=1e-4)
 
 
-def test_what_changes_between_knots_is_new_in_each_epoch() -> None:
+def test_what_changes_between_knots_is_new_in_each_epoch():
     """Weight of the white noise by hand: its own variance, a third of what each position leaves, and what an
     attitude leaves on its mean arm; half of either, because an epoch holds two intervals of knots.
     """
@@ -170,7 +170,7 @@ def test_what_changes_between_knots_is_new_in_each_epoch() -> None:
     assert np.diag(P)[first : first + 3] == pytest.approx(expected)
 
 
-def test_what_interpolation_leaves_is_that_of_a_process(rng: np.random.Generator) -> None:
+def test_what_interpolation_leaves_is_that_of_a_process(rng):
     """Means over the places between two knots, from the covariance of the process at many of them."""
     for step in (1e-3, 0.02, 0.25, 3.0):
         at = np.linspace(0.0, 1.0, 2001)
@@ -183,7 +183,7 @@ def test_what_interpolation_leaves_is_that_of_a_process(rng: np.random.Generator
         assert _left_by_time(step) == pytest.approx((more - less) / 2e-4, rel=1e-2)
 
 
-def test_planes_are_made_again_without_the_errors_that_were_found(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_planes_are_made_again_without_the_errors_that_were_found(monkeypatch):
     """Patches that poses make centimetres thick are as thin as the lidar's noise of 1 cm the second time.
 
     Of points with their errors, borders of cells cut off what errs most, and sizes come out too small.
@@ -203,7 +203,7 @@ def test_planes_are_made_again_without_the_errors_that_were_found(monkeypatch: p
     assert thick_m[1] < 0.012
 
 
-def test_a_magnet_on_the_boat_is_noticed() -> None:
+def test_a_magnet_on_the_boat_is_noticed():
     """2 degrees times the heading's sine, ten times what attitudes err: found, and significant."""
     size = np.deg2rad(2.0)
     found = estimated(*survey(11, deviation_rad=float(size)), prior())
@@ -215,7 +215,7 @@ def test_a_magnet_on_the_boat_is_noticed() -> None:
     assert not estimated(*survey(12), prior()).deviation_is_significant
 
 
-def test_without_planes_the_prior_counts_with_its_width() -> None:
+def test_without_planes_the_prior_counts_with_its_width():
     sample, trajectory = survey(1)
     rng = np.random.default_rng(0)
     bush = LogSample(
@@ -231,7 +231,7 @@ def test_without_planes_the_prior_counts_with_its_width() -> None:
 
 
 @pytest.mark.parametrize(("component", "footprint"), [(1.0, 1.0), (1.5, 1.0), (1.0, 2.0), (0.67, 0.5)])
-def test_noise_of_the_lidar_is_told_from_roughness(component: float, footprint: float) -> None:
+def test_noise_of_the_lidar_is_told_from_roughness(component, footprint):
     """Planes whose roughness is exponential, as presumed: factors within a tenth, before the form's error
     draws them to the prior by its weight, 0.2^2 / (ln(1.5)^2 + 0.2^2) = 0.196.
     """
@@ -250,7 +250,7 @@ def test_noise_of_the_lidar_is_told_from_roughness(component: float, footprint: 
     assert 0.15 < found["component"].sigma_log < 0.3
 
 
-def test_windows_cover_short_surveys_and_sample_long_ones() -> None:
+def test_windows_cover_short_surveys_and_sample_long_ones():
     assert windows_of(100.0, 120.0) == [(100.0, 20.0)]
     assert windows_of(0.0, 39.0) == [(0.0, 19.5), (19.5, 19.5)]
     starts = windows_of(0.0, 1000.0)
@@ -259,7 +259,7 @@ def test_windows_cover_short_surveys_and_sample_long_ones() -> None:
     assert starts[-1] == (980.0, 20.0)
 
 
-def test_a_lidar_without_a_footprint_keeps_the_width_of_its_prior() -> None:
+def test_a_lidar_without_a_footprint_keeps_the_width_of_its_prior():
     """Stated sigmas of a single measurement may be wrong by a factor of 1.5: its logarithm is 0.405."""
     rng = np.random.default_rng(4)
     freedom = np.full(300, 20.0)
@@ -274,7 +274,7 @@ def test_a_lidar_without_a_footprint_keeps_the_width_of_its_prior() -> None:
     assert found["component"].sigma_log < 0.3
 
 
-def test_of_too_many_planes_some_are_taken_once_each() -> None:
+def test_of_too_many_planes_some_are_taken_once_each():
     """1,300 level spots of 25 points, each in its own cell and seen for 2.4 s; 1,200 are enough."""
     rng = np.random.default_rng(1)
     place = np.stack(np.divmod(np.arange(1300), 40), axis=1) + 0.5
@@ -285,9 +285,7 @@ def test_of_too_many_planes_some_are_taken_once_each() -> None:
     assert len(np.unique(planes.owner)) == 1200
 
 
-def test_white_noise_comes_with_the_positions_and_else_with_the_nodes(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_white_noise_comes_with_the_positions_and_else_with_the_nodes(monkeypatch):
     """Nodes every 0.1 s, positions every 0.5 s."""
     asked = {}
     monkeypatch.setattr(overlap, "sample_log", lambda *_: [])
@@ -314,7 +312,7 @@ def test_white_noise_comes_with_the_positions_and_else_with_the_nodes(
         assert asked["epoch_s"] == pytest.approx(step_s)
 
 
-def test_an_uncertain_mount_is_not_taken_for_errors_of_the_poses() -> None:
+def test_an_uncertain_mount_is_not_taken_for_errors_of_the_poses():
     """The scanner is turned by 1 degree about the forward axis; its mount is stated to 1 degree."""
     sample, trajectory = survey(7)
     nearest = np.rint(sample.t_gps_s / 0.1).astype(int)
@@ -331,7 +329,7 @@ def test_an_uncertain_mount_is_not_taken_for_errors_of_the_poses() -> None:
     assert np.log(taken.value) > 5 * taken.sigma_log
 
 
-def test_knots_reach_to_the_end_of_a_window() -> None:
+def test_knots_reach_to_the_end_of_a_window():
     """19.9 s: 80 intervals of 0.25 s and 67 of 0.3 s, each with a knot more."""
     sample, trajectory = survey(1)
     window = _window(sample, sample.xyz_wcs_m, trajectory, MOUNT, LEVER, BEAM, 0.0, 19.9, 0.3)
@@ -340,7 +338,7 @@ def test_knots_reach_to_the_end_of_a_window() -> None:
 
 
 @pytest.mark.parametrize(("lag_s", "planes"), [(0.0, 1), (0.25, 0)])
-def test_roughness_is_the_scatter_within_half_a_second_of_the_first_point(lag_s: float, planes: int) -> None:
+def test_roughness_is_the_scatter_within_half_a_second_of_the_first_point(lag_s, planes):
     """Ten points each half second, up and down by 7 cm from one to the next.
 
     That is what poses may err; half the way through, a quarter of a second later, it would be a rough bank.
@@ -352,7 +350,7 @@ def test_roughness_is_the_scatter_within_half_a_second_of_the_first_point(lag_s:
     assert planes_seen_again(x, t).n == planes
 
 
-def test_the_scatter_about_planes_by_hand() -> None:
+def test_the_scatter_about_planes_by_hand():
     """Plane 0 has 20 points in two epochs, off their means by 1 and 3 mm; plane 1 has 12 in three, by 2 mm.
 
     Of 18 and 9 degrees of freedom both inclinations take 2 / 20 and 2 / 12: 16.2, and 7.5, which are too few.
@@ -372,7 +370,7 @@ def test_the_scatter_about_planes_by_hand() -> None:
     np.testing.assert_allclose(found.footprint_m2, [2e-6])
 
 
-def test_sigmas_are_those_of_the_second_derivatives_at_the_best(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_sigmas_are_those_of_the_second_derivatives_at_the_best(monkeypatch):
     """The posterior's curvature from its values alone, where the search ended."""
     made = []
     monkeypatch.setattr(overlap, "_window", lambda *of: made.append(_window(*of)) or made[-1])
@@ -405,7 +403,7 @@ def test_sigmas_are_those_of_the_second_derivatives_at_the_best(monkeypatch: pyt
     assert (found.windows, found.planes, found.observations) == (1, window.planes, window.observations)
 
 
-def test_sizes_are_found_whatever_is_stated() -> None:
+def test_sizes_are_found_whatever_is_stated():
     """True errors of half and twice the stated size: logarithms within their sigmas, two-sided."""
     for size in (0.5, 2.0):
         names = ("position", "roll_pitch", "heading", "white")
@@ -422,13 +420,13 @@ def test_sizes_are_found_whatever_is_stated() -> None:
 # ---------------------------------------------------------------- parts, by hand
 
 
-def test_curvatures_below_that_of_the_prior_are_raised_to_it() -> None:
+def test_curvatures_below_that_of_the_prior_are_raised_to_it():
     turn = np.array([[0.6, -0.8], [0.8, 0.6]])
     found = _positive(turn @ np.diag([-1.0, 5.0]) @ turn.T)
     assert found == pytest.approx(turn @ np.diag([2.0, 5.0]) @ turn.T)
 
 
-def test_axes_of_points_on_a_plane() -> None:
+def test_axes_of_points_on_a_plane():
     """Two points at 1 m along x, two at 2 m along y about a centre, and a group without points."""
     centre = np.array([10.0, 20.0, 30.0])
     x = centre + np.array([[1.0, 0, 0], [-1, 0, 0], [0, 2, 0], [0, -2, 0]])
@@ -439,19 +437,19 @@ def test_axes_of_points_on_a_plane() -> None:
     assert np.abs(axes[0]) == pytest.approx(np.array([[0, 1, 0], [0, 0, 1], [1, 0, 0]]))
 
 
-def test_errors_are_linear_between_knots() -> None:
+def test_errors_are_linear_between_knots():
     """At 0.5 s of knots each 2 s a quarter of the way to the second; at 3 s half-way between the last two."""
     found = _at_knots(np.array([0.5, 3.0]), 2.0, 3, np.array([[1.0, 10.0], [2.0, 20.0]])).toarray()
     assert found == pytest.approx(np.array([[0.75, 7.5, 0.25, 2.5, 0, 0], [0, 0, 1, 10, 1, 10]]))
 
 
-def test_points_of_a_plane_and_an_epoch_are_one_observation() -> None:
+def test_points_of_a_plane_and_an_epoch_are_one_observation():
     joined, owner = joined_by_epoch(np.array([0, 0, 0, 1]), np.array([0.0, 0.4, 0.6, 0.1]), 0.5, 1.2)
     assert joined.tolist() == [0, 0, 1, 2]
     assert owner.tolist() == [0, 0, 1]
 
 
-def test_planes_are_taken_out_as_unknowns() -> None:
+def test_planes_are_taken_out_as_unknowns():
     """The normal equations that are left are those of a full adjustment with three unknowns a plane."""
     rng = np.random.default_rng(8)
     owner, weight = np.repeat([4, 9], 6), rng.uniform(0.5, 2.0, 12)
@@ -465,7 +463,7 @@ def test_planes_are_taken_out_as_unknowns() -> None:
     np.testing.assert_allclose(h, A.T @ rest @ d, rtol=1e-6, atol=1e-7)
 
 
-def test_rows_of_a_point_are_its_moves_by_each_error() -> None:
+def test_rows_of_a_point_are_its_moves_by_each_error():
     """Finite turns and shifts of the boat about its antenna, of the scanner on its mount, of a magnet."""
     heading = np.deg2rad(50.0)
     R = rotation_enu_body(np.array([0.1]), np.array([-0.2]), np.array([heading]))
@@ -501,7 +499,7 @@ def test_rows_of_a_point_are_its_moves_by_each_error() -> None:
     np.testing.assert_allclose(border[0, 6:], move(e * axes[2]) * forward, atol=1e-5)
 
 
-def test_noise_along_a_normal_is_that_of_range_and_of_direction() -> None:
+def test_noise_along_a_normal_is_that_of_range_and_of_direction():
     """Rays of 10 m, one along the normal, one at 60 degrees to it; the second point is seen first."""
     beam = LidarAccuracy(sigma_component_m=0.02, divergence_mrad=3.0, sigma_weak_m=0.05, sigma_time_s=0.0)
     sample = LogSample(
@@ -522,7 +520,7 @@ def test_noise_along_a_normal_is_that_of_range_and_of_direction() -> None:
     np.testing.assert_allclose(footprint, [0.0, 0.75 * (beam.footprint_share * 3e-3 * 10.0) ** 2], atol=1e-15)
 
 
-def test_the_inverse_covariance_of_a_process_is_that_of_its_values() -> None:
+def test_the_inverse_covariance_of_a_process_is_that_of_its_values():
     n, step, size = 6, 0.4, 0.3
     cov = np.exp(-step * np.abs(np.subtract.outer(np.arange(n), np.arange(n))))
     main, side, log = overlap._gauss_markov(n, step)
@@ -542,7 +540,7 @@ def test_the_inverse_covariance_of_a_process_is_that_of_its_values() -> None:
     assert overlap._product(S, x, row, main, side) == pytest.approx(expected)
 
 
-def test_an_error_model_that_is_not_estimated_is_the_prior() -> None:
+def test_an_error_model_that_is_not_estimated_is_the_prior():
     settings = {
         "estimate": False,
         "white_share": 0.25,

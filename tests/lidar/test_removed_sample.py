@@ -1,7 +1,5 @@
 """The sample of removed points: bounded, even, and blind to the pieces of the log."""
 
-from pathlib import Path
-
 import numpy as np
 import pyarrow as pa
 
@@ -31,7 +29,7 @@ def sampled_rows(reasons: np.ndarray, rows: np.ndarray, most: int, pieces: int =
     return sample
 
 
-def test_the_sample_is_bounded_even_and_blind_to_pieces(rng: np.random.Generator) -> None:
+def test_the_sample_is_bounded_even_and_blind_to_pieces(rng):
     n, most = 400_000, 2000
     reasons = rng.choice(np.array([0, Reason.TOO_NEAR, Reason.ISOLATED], np.uint8), n, p=[0.5, 0.499, 0.001])
     table = sampled(reasons, most, 1).table()
@@ -57,7 +55,7 @@ def test_the_sample_is_bounded_even_and_blind_to_pieces(rng: np.random.Generator
         assert np.sum((bins - expected) ** 2 / expected) < limit
 
 
-def test_the_sample_is_a_documented_table(tmp_path: Path) -> None:
+def test_the_sample_is_a_documented_table(tmp_path):
     reasons = np.array([0, 1, 9, 1], np.uint8)
     table = sampled(reasons, 10, 2).table()
     write_table(tmp_path / "removed.parquet", table, REMOVED_POINTS, {"decoded": 4})

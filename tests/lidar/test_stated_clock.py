@@ -14,7 +14,7 @@ NOON = 1_778_587_200.0
 """Unix time of 2026-05-12T12:00:00Z, by `date -u -d`."""
 
 
-def test_a_capture_without_gps_gets_the_stated_time(data_dir) -> None:
+def test_a_capture_without_gps_gets_the_stated_time(data_dir):
     log = next((data_dir / "vlp16_veloview").glob("*.pcap"))
     reader = lidar_reader([log], LidarOptions(model="VLP-16"))
     scan = reader.scan()
@@ -32,7 +32,7 @@ def test_a_capture_without_gps_gets_the_stated_time(data_dir) -> None:
     assert np.isfinite(first.t_gps_s).all()
 
 
-def test_an_offset_moves_a_capture_with_gps(data_dir) -> None:
+def test_an_offset_moves_a_capture_with_gps(data_dir):
     log = next((data_dir / "vlp16_mrpt_gps").glob("*.pcap"))
     reader = lidar_reader([log], LidarOptions())
     scan = reader.scan()
@@ -43,14 +43,14 @@ def test_an_offset_moves_a_capture_with_gps(data_dir) -> None:
     np.testing.assert_allclose(clock.gps_minus_device_s, np.array(before.gps_minus_device_s) - 1.0, atol=1e-9)
 
 
-def test_nothing_stated_changes_nothing(data_dir) -> None:
+def test_nothing_stated_changes_nothing(data_dir):
     log = next((data_dir / "vlp16_mrpt_gps").glob("*.pcap"))
     reader = lidar_reader([log], LidarOptions())
     scan = reader.scan()
     assert with_stated_clock(reader, scan, LidarClockStated()) == (scan.clock, scan.report)
 
 
-def test_a_source_of_time_that_is_not_needed_is_named(data_dir) -> None:
+def test_a_source_of_time_that_is_not_needed_is_named(data_dir):
     log = next((data_dir / "vlp16_mrpt_gps").glob("*.pcap"))
     reader = lidar_reader([log], LidarOptions())
     scan = reader.scan()
@@ -59,6 +59,6 @@ def test_a_source_of_time_that_is_not_needed_is_named(data_dir) -> None:
     assert "lidar.clock.source: motion is not used: the log has a time of its own" in report.notes
 
 
-def test_a_time_without_zone_is_refused() -> None:
+def test_a_time_without_zone_is_refused():
     with pytest.raises(ValueError, match="names no zone"):
         LidarClockStated(first_packet_utc="2026-05-12T12:00:00")

@@ -1,7 +1,6 @@
 """Strips adjusted: a survey that is drawn from planes, so that the truth is known by construction."""
 
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -56,7 +55,7 @@ BORDER_SIGMA = np.array([*[1e-3] * 3, *[2e-3] * 3, 1e-9, 1e-9])
 SMALL = {"length_m": 20.0, "estimate": False}
 
 
-def test_the_covariance_of_means_is_that_of_the_sums() -> None:
+def test_the_covariance_of_means_is_that_of_the_sums():
     """Against the covariance of all nodes, written out."""
     rng = np.random.default_rng(3)
     t = np.array([0.1, 0.4, 0.9, 1.2, 1.3, 3.6, 3.8])
@@ -77,7 +76,7 @@ def test_the_covariance_of_means_is_that_of_the_sums() -> None:
     np.testing.assert_allclose(covariance_of_means([chain], np.arange(5.0)), expected, atol=1e-7)
 
 
-def test_a_bank_in_all_directions_halves_the_errors_and_says_so() -> None:
+def test_a_bank_in_all_directions_halves_the_errors_and_says_so():
     rows = [score(seed, Spec(**SMALL)) for seed in (901, 902)]
     mean = {name: np.mean([row[name] for row in rows]) for name in ("nees_after", "nees_points")}
     before, after = (np.hypot(*(row[f"cell_{when}_mm"] for row in rows)) for when in ("before", "after"))
@@ -87,7 +86,7 @@ def test_a_bank_in_all_directions_halves_the_errors_and_says_so() -> None:
     assert not [name for row in rows for name in row if name.startswith("names_") and row[name]]
 
 
-def test_along_a_wall_nothing_is_told(tmp_path: Path) -> None:
+def test_along_a_wall_nothing_is_told(tmp_path):
     drawn = draw(903, Spec(bank="wall", **SMALL))
     poses = drawn.trajectory
     vague = replace(MOUNT, cov=np.diag([0.03] * 3 + [np.deg2rad(0.06)] * 3) ** 2)
@@ -109,7 +108,7 @@ def test_along_a_wall_nothing_is_told(tmp_path: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def wrong_scanner() -> tuple[Any, ...]:
+def wrong_scanner():
     """A mount that is turned, ranges that are long and a clock that is late, each an unknown."""
     spec = Spec(
         mount_deg=0.5, sigma_mount_deg=0.5, length_m=20.0, estimate=False, clock_s=0.02,
@@ -130,7 +129,7 @@ def wrong_scanner() -> tuple[Any, ...]:
     return poses, found, mount, chains
 
 
-def test_mount_ranges_and_clock_that_are_off_show_there(wrong_scanner: Any) -> None:
+def test_mount_ranges_and_clock_that_are_off_show_there(wrong_scanner):
     """Their signs are those of the drawing; the bounds three sigmas."""
     found, mount = wrong_scanner[1:3]
     border = found.border.set_index("unknown")
@@ -155,7 +154,7 @@ def test_mount_ranges_and_clock_that_are_off_show_there(wrong_scanner: Any) -> N
     )
 
 
-def test_tables_poses_and_facts_of_strips_are_of_one_mind(wrong_scanner: Any) -> None:
+def test_tables_poses_and_facts_of_strips_are_of_one_mind(wrong_scanner):
     """Each column against the poses, the chains and the observations it comes from."""
     poses, found, _, chains = wrong_scanner
     knots, seen, facts = found.knots, found.observations, found.facts
@@ -213,7 +212,7 @@ def test_tables_poses_and_facts_of_strips_are_of_one_mind(wrong_scanner: Any) ->
     )
 
 
-def test_the_lidar_s_mount_by_strips_is_exact_beside_its_own_poses(wrong_scanner: Any) -> None:
+def test_the_lidar_s_mount_by_strips_is_exact_beside_its_own_poses(wrong_scanner):
     found = wrong_scanner[1]
     mounts = mounts_by_strips({"camera": "as it was", "lidar": "old"}, found)
     assert mounts["camera"] == "as it was"
@@ -225,7 +224,7 @@ def test_the_lidar_s_mount_by_strips_is_exact_beside_its_own_poses(wrong_scanner
 
 
 @pytest.fixture(scope="module")
-def inside() -> tuple[Any, ...]:
+def inside():
     """A small adjustment: its task and observations, the covariance of all unknowns, and its result."""
     drawn = draw(12, Spec(length_m=10.0, estimate=False))
     vague = replace(MOUNT, cov=np.diag([0.02, 0.03, 0.04, 0.01, 0.02, 0.03]) ** 2)
@@ -246,7 +245,7 @@ def inside() -> tuple[Any, ...]:
     return (*kept["all"], found)
 
 
-def test_weights_are_those_of_the_scatter_and_of_roughness_in_common(inside: Any) -> None:
+def test_weights_are_those_of_the_scatter_and_of_roughness_in_common(inside):
     """Points of an observation and the scatter about its plane, from the cells made again."""
     task = inside[0]
     seen = task.observe(np.zeros(6 * task.n_spans + len(BORDER)))
@@ -265,7 +264,7 @@ def test_weights_are_those_of_the_scatter_and_of_roughness_in_common(inside: Any
     np.testing.assert_allclose(seen.sigma, expected[kept], rtol=1e-3)
 
 
-def test_residuals_are_divided_by_what_their_plane_leaves_of_them(inside: Any) -> None:
+def test_residuals_are_divided_by_what_their_plane_leaves_of_them(inside):
     """Against the hat matrix of each plane by itself."""
     task = inside[0]
     seen = task.observe(np.zeros(6 * task.n_spans + len(BORDER)))
@@ -278,7 +277,7 @@ def test_residuals_are_divided_by_what_their_plane_leaves_of_them(inside: Any) -
         np.testing.assert_allclose(seen.z[k] * seen.factors[seen.group[k]], z, rtol=1e-4, atol=1e-4)
 
 
-def test_points_move_with_mount_range_and_clock_as_their_equation_says(inside: Any) -> None:
+def test_points_move_with_mount_range_and_clock_as_their_equation_says(inside):
     """Differences of ``X(t) + R(t) (R_m x_s + l)`` itself; ranges are those from the scanner."""
     task = inside[0]
     rng = np.random.default_rng(4)
@@ -300,7 +299,7 @@ def test_points_move_with_mount_range_and_clock_as_their_equation_says(inside: A
         np.testing.assert_allclose(rows[:, i], slope, rtol=1e-6, atol=1e-6, err_msg=BORDER[i])
 
 
-def test_points_err_by_poses_and_mount_with_what_both_have_in_common(inside: Any) -> None:
+def test_points_err_by_poses_and_mount_with_what_both_have_in_common(inside):
     """Variances along normals by the covariance of all unknowns, and by the poses of the lidar alone."""
     task, _, Q, found = inside
     rng = np.random.default_rng(5)
@@ -320,7 +319,7 @@ def test_points_err_by_poses_and_mount_with_what_both_have_in_common(inside: Any
         assert pose @ both @ pose == pytest.approx(more, rel=1e-5)
 
 
-def test_the_chains_hold_what_neighbouring_spans_have_in_common(inside: Any) -> None:
+def test_the_chains_hold_what_neighbouring_spans_have_in_common(inside):
     task, _, Q, found = inside
     for chains, is_sum in ((found.chains, False), (found.chains_of_lidar, True)):
         chain = next(each for each in chains if each.name == "adjusted strips")
@@ -333,7 +332,7 @@ def test_the_chains_hold_what_neighbouring_spans_have_in_common(inside: Any) -> 
 
 
 @pytest.fixture(scope="module")
-def border_equations() -> np.ndarray:
+def border_equations():
     """Curvature (8, 8) of an eight-dimensional border whose unknowns are told from each other badly."""
     A = (
         np.random.default_rng(8).standard_normal((9, 8))
@@ -342,7 +341,7 @@ def border_equations() -> np.ndarray:
     return A.T @ A
 
 
-def test_what_is_stated_of_mount_range_and_clock_is_tested_without_itself(border_equations: Any) -> None:
+def test_what_is_stated_of_mount_range_and_clock_is_tested_without_itself(border_equations):
     """Against the solution with one prior left out, and the mixture's mean and variance by sums."""
     C, P = border_equations, np.diag(BORDER_SIGMA**-2)
     g = C @ np.r_[0.0, 0.0, 0.02, np.zeros(5)]
@@ -373,7 +372,7 @@ def test_what_is_stated_of_mount_range_and_clock_is_tested_without_itself(border
     assert claim.variance == pytest.approx(square - mean**2 - of_square + of_stated**2, rel=1e-3)
 
 
-def test_what_is_stated_rightly_is_named_in_one_survey_of_twenty(border_equations: Any) -> None:
+def test_what_is_stated_rightly_is_named_in_one_survey_of_twenty(border_equations):
     C, rng = border_equations, np.random.default_rng(20)
     root = np.linalg.cholesky(C + C @ np.diag(BORDER_SIGMA**2) @ C)
     most = [
@@ -384,7 +383,7 @@ def test_what_is_stated_rightly_is_named_in_one_survey_of_twenty(border_equation
     assert np.mean(np.array(most) > norm.isf(ODD / 2 / 8)) > 0.01
 
 
-def test_a_mount_off_by_more_than_stated_is_named_and_the_poses_are_not_too_bold() -> None:
+def test_a_mount_off_by_more_than_stated_is_named_and_the_poses_are_not_too_bold():
     spec = Spec(mount_deg=1.0, chain="fused", settings={"knot_s": 1.0, "max_planes": 1500}, **SMALL)
     drawn = draw(908, spec)
     found, _, _ = solve(drawn, spec)
@@ -397,7 +396,7 @@ def test_a_mount_off_by_more_than_stated_is_named_and_the_poses_are_not_too_bold
     assert nees(error, found.trajectory.cov_pose_wcs[5:-5:5]) < 2.5
 
 
-def test_stable_surfaces_tell_what_passes_have_in_common() -> None:
+def test_stable_surfaces_tell_what_passes_have_in_common():
     """Heights of all poses alike are told, with a true sigma; surfaces that are shifted as a whole say so."""
     drawn = draw(12, Spec(**SMALL))
     rng = np.random.default_rng(12)
@@ -428,7 +427,7 @@ def test_stable_surfaces_tell_what_passes_have_in_common() -> None:
         adjusted(surfaces + np.array([0.0, 50.0, 0.0]))
 
 
-def test_a_clock_that_is_off_is_named_and_where_it_is_asked_for_the_points_lie_better() -> None:
+def test_a_clock_that_is_off_is_named_and_where_it_is_asked_for_the_points_lie_better():
     spec = Spec(clock_s=0.005, chain="fused", **SMALL)
     drawn = draw(906, spec)
     found, _, _ = solve(drawn, spec)
@@ -444,7 +443,7 @@ def test_a_clock_that_is_off_is_named_and_where_it_is_asked_for_the_points_lie_b
     assert better < worse
 
 
-def test_errors_of_twice_what_is_stated_are_named_and_sigmas_grow() -> None:
+def test_errors_of_twice_what_is_stated_are_named_and_sigmas_grow():
     spec = Spec(size=2.0, chain="fused", **SMALL)
     drawn = draw(907, spec)
     found, _, _ = solve(drawn, spec)
@@ -454,7 +453,7 @@ def test_errors_of_twice_what_is_stated_are_named_and_sigmas_grow() -> None:
     assert 0.3 < nees(error, found.trajectory.cov_pose_wcs[5:-5]) < 2.5, "four times as much without"
 
 
-def test_points_of_no_plane_are_refused() -> None:
+def test_points_of_no_plane_are_refused():
     drawn = draw(905, Spec(**SMALL))
     rng = np.random.default_rng(0)
     s = drawn.sample
@@ -468,14 +467,14 @@ def test_points_of_no_plane_are_refused() -> None:
         adjust_strips(bush, drawn.trajectory, MOUNT, drawn.chains, Strips())
 
 
-def test_a_log_too_long_for_its_knots_is_refused() -> None:
+def test_a_log_too_long_for_its_knots_is_refused():
     drawn = draw(905, Spec(**SMALL))
     assert len(knots_over(drawn.trajectory, Strips())) == 81
     with pytest.raises(CoverageError, match=r"strips\.max_knots"):
         knots_over(drawn.trajectory, Strips(max_knots=10))
 
 
-def test_thinning_keeps_some_points_of_each_cell_and_half_second_above_the_water() -> None:
+def test_thinning_keeps_some_points_of_each_cell_and_half_second_above_the_water():
     """Twelve points of one cell at one time, two half a second later, one of the next cell, one too near."""
     t = 4.0e8 + np.repeat([0.1, 0.6, 0.1, 0.1], [12, 2, 1, 1])
     at = np.repeat(
@@ -508,7 +507,7 @@ def test_thinning_keeps_some_points_of_each_cell_and_half_second_above_the_water
     np.testing.assert_array_equal(thin.t_gps_s, t[kept])
 
 
-def test_stable_surfaces_are_read_in_the_frame_of_the_trajectory_or_refused(tmp_path: Path) -> None:
+def test_stable_surfaces_are_read_in_the_frame_of_the_trajectory_or_refused(tmp_path):
     frame = LocalFrame(lat_deg=51.0, lon_deg=13.0, h_ell_m=200.0)
     xyz = np.random.default_rng(3).uniform(-20.0, 20.0, (50, 3))
     for name, stated, at in (

@@ -2,19 +2,19 @@
 
 import pytest
 
-from tests.lightsheet.basin import Basin, Jobs, recorded
+from tests.lightsheet.basin import Jobs, recorded
 
 SEED = 42
 
 
 @pytest.fixture(scope="session")
-def basin(tmp_path_factory: pytest.TempPathFactory) -> Basin:
+def basin(tmp_path_factory):
     """Recordings with panels."""
     return recorded(tmp_path_factory.mktemp("basin"), SEED, panels=True)
 
 
 @pytest.fixture(scope="session")
-def done(basin: Basin, tmp_path_factory: pytest.TempPathFactory) -> Jobs:
+def done(basin, tmp_path_factory):
     """The same, calibrated and measured."""
     jobs = Jobs(tmp_path_factory.mktemp("done"))
     jobs.orient(basin)

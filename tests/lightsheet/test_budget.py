@@ -27,7 +27,7 @@ MOST = {
 """Largest shares of the fitted geometry in the study, whose lines ended 2 % before the picture did."""
 
 
-def test_shares_of_the_fitted_geometry(table) -> None:
+def test_shares_of_the_fitted_geometry(table):
     most = table.groupby("cause")["most_mm"].max()
     for cause, value in MOST.items():
         # 2 % and half a unit of the last digit; those that grow along the line reach 4 % more at its very end
@@ -38,7 +38,7 @@ def test_shares_of_the_fitted_geometry(table) -> None:
     assert not set(table["cause"]) & {cause.name for cause in CAUSES if not cause.panel}
 
 
-def test_shares_are_difference_quotients() -> None:
+def test_shares_are_difference_quotients():
     """The share of the laser's kappa: depth at kappa plus and minus its sigma."""
     sensor = paper_4()
     line = depth_lines(sensor, [125.0], 21)[0]
@@ -53,12 +53,12 @@ def test_shares_are_difference_quotients() -> None:
     assert np.nanmax(np.abs(half - found)) < 1e-6  # cubic in 0.04 degrees
 
 
-def test_every_parameter_belongs_to_one_cause() -> None:
+def test_every_parameter_belongs_to_one_cause():
     named = [name for cause in CAUSES for name in cause.parameters]
     assert sorted(named) == sorted(PARAMETERS)
 
 
-def test_totals_with_and_without_correlations() -> None:
+def test_totals_with_and_without_correlations():
     sensor = paper_4()
     cov = sensor.cov.copy()
     i, j = PARAMETERS.index("laser_y_mm"), PARAMETERS.index("laser_z_mm")
@@ -73,7 +73,7 @@ def test_totals_with_and_without_correlations() -> None:
     assert np.allclose(np.abs(change), 1.8 * after.of("laser y") * after.of("laser z"), rtol=1e-9)
 
 
-def test_a_sensor_without_sigmas_leaves_the_image_alone() -> None:
+def test_a_sensor_without_sigmas_leaves_the_image_alone():
     sensor = paper_4()
     bare = sensor.with_vector(sensor.vector(), np.zeros((26, 26)))
     found = point_budget(bare, np.array([[1000.0, 1024.0], [5.0, 5.0]]))

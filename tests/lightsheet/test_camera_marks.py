@@ -1,7 +1,5 @@
 """The table of marks that the sensor's camera sees."""
 
-from pathlib import Path
-
 import pytest
 
 from thalweg.core import InputError
@@ -11,7 +9,7 @@ HEAD = "file,marker,corner,x_px,y_px,sigma_px\n"
 ROW = "s.png,1,0,10.5,20.5,0.1\n"
 
 
-def test_a_good_table(tmp_path: Path) -> None:
+def test_a_good_table(tmp_path):
     path = tmp_path / "marks.csv"
     path.write_text(HEAD + ROW + "s.png,1,1,11,21,0.1\n")
     table = read_camera_marks(path)
@@ -33,7 +31,7 @@ def test_a_good_table(tmp_path: Path) -> None:
         (HEAD + ROW + ROW.replace("s.png,1", "t.png,2"), "marks of 2 pictures, such as s.png and t.png"),
     ],
 )
-def test_tables_that_are_wrong(tmp_path: Path, text: str, words: str) -> None:
+def test_tables_that_are_wrong(tmp_path, text, words):
     path = tmp_path / "marks.csv"
     path.write_text(text)
     with pytest.raises(InputError, match=words) as caught:

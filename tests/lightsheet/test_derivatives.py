@@ -37,7 +37,7 @@ def assert_close(analytic, quotient, name) -> None:
     assert np.nanmax(np.abs(analytic - quotient)) <= 1e-6 * max(scale, 1e-6), name
 
 
-def test_by_every_parameter(case) -> None:
+def test_by_every_parameter(case):
     sensor, xy, found = case
     ok, x = found.points.ok, sensor.vector()
     assert ok.sum() > 40
@@ -55,7 +55,7 @@ def test_by_every_parameter(case) -> None:
             assert_close(got[ok], quotient[ok], (name, what))
 
 
-def test_by_pixel_and_by_the_line(case) -> None:
+def test_by_pixel_and_by_the_line(case):
     sensor, xy, found = case
     ok = found.points.ok
     for c in (0, 1):
@@ -71,7 +71,7 @@ def test_by_pixel_and_by_the_line(case) -> None:
     assert_close(found.depth_by_v[ok], ((high.depth_mm - low.depth_mm) / 2e-6)[ok], "v")
 
 
-def test_no_point_has_no_derivatives(case) -> None:
+def test_no_point_has_no_derivatives(case):
     sensor, _, _ = case
     points, by_parameters, by_pixel = point_derivatives(
         sensor, [[5.0, 2000.0], [1024.0, 1024.0], [2047.0, 10.0]]
@@ -84,7 +84,7 @@ def test_no_point_has_no_derivatives(case) -> None:
     assert np.isfinite(by_parameters[~bad]).all()
 
 
-def test_a_shift_of_camera_and_laser_shifts_the_points(case) -> None:
+def test_a_shift_of_camera_and_laser_shifts_the_points(case):
     """Along the window the whole sensor is free to move: the derivatives by both places add up to the unit
     matrix."""
     sensor, _, found = case
@@ -98,7 +98,7 @@ def test_a_shift_of_camera_and_laser_shifts_the_points(case) -> None:
 # ---------------------------------------------------------------- light
 
 
-def test_light_that_reaches_a_point_beside_the_sheet(case) -> None:
+def test_light_that_reaches_a_point_beside_the_sheet(case):
     sensor, _, _ = case
     D = np.array([30.0, 100.0, 220.0])
     a = np.array([-0.4, 0.1, 0.5])
@@ -111,7 +111,7 @@ def test_light_that_reaches_a_point_beside_the_sheet(case) -> None:
         assert light.inside.all()
 
 
-def test_fan_angles_span_the_fan() -> None:
+def test_fan_angles_span_the_fan():
     angles = fan_angles(paper_4(), 7)
     assert np.allclose(np.rad2deg(angles), [-45, -30, -15, 0, 15, 30, 45])
     assert sheet_in_water(paper_4(), [], angles).shape == (0, 7, 3)

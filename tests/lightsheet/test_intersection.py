@@ -40,7 +40,7 @@ def random_pixels(n: int, seed: int = 1, side: float = 2048.0) -> np.ndarray:
     return np.random.default_rng(seed).uniform(0, side, (n, 2))
 
 
-def test_golden_points_of_paper_4() -> None:
+def test_golden_points_of_paper_4():
     sensor = paper_4()
     golden = np.array([
         [3.167970072, -120.189634114, 86.307860506], [-38.71943668, -133.36304119, 48.87397818],
@@ -56,7 +56,7 @@ def test_golden_points_of_paper_4() -> None:
     assert found.counts()["NO_SHEET"] == 1
 
 
-def test_golden_points_of_paper_3() -> None:
+def test_golden_points_of_paper_3():
     sensor = paper_3()
     golden = np.array([
         [111.544296, 7.101954, 106.484531], [144.041368, -76.206579, 188.293006],
@@ -70,7 +70,7 @@ def test_golden_points_of_paper_3() -> None:
 
 
 @pytest.mark.parametrize("change", [lambda s: s, distorted], ids=["plain", "distorted"])
-def test_projection_is_the_inverse(change) -> None:
+def test_projection_is_the_inverse(change):
     sensor = change(paper_4())
     grid = np.linspace(5.0, 2043.0, 64)
     xy = np.stack(np.meshgrid(grid, grid), axis=-1).reshape(-1, 2)
@@ -81,7 +81,7 @@ def test_projection_is_the_inverse(change) -> None:
     assert np.isnan(back[~found.ok]).all()
 
 
-def test_rays_of_the_kernel_are_those_of_the_camera() -> None:
+def test_rays_of_the_kernel_are_those_of_the_camera():
     """Points lie on the camera's own rays, followed step by step through the window."""
     from thalweg.lightsheet.optics import trace
 
@@ -97,7 +97,7 @@ def test_rays_of_the_kernel_are_those_of_the_camera() -> None:
 
 
 @pytest.mark.parametrize("change", [lambda s: s, distorted], ids=["plain", "distorted"])
-def test_points_lie_on_the_sheet(change) -> None:
+def test_points_lie_on_the_sheet(change):
     """Two hundred thousand pixels: the light that reaches each point has the fan angle and the v of the
     sheet."""
     sensor = change(paper_4())
@@ -109,7 +109,7 @@ def test_points_lie_on_the_sheet(change) -> None:
     assert light.inside.mean() > 0.99999  # 1e-9 rad of margin at the very end of the fan
 
 
-def test_sub_beams_at_borders_of_halves_and_nodes() -> None:
+def test_sub_beams_at_borders_of_halves_and_nodes():
     """Where the papers' halving fails, at 0 and multiples of an eighth of the fan, and on all nodes of the
     brackets."""
     sensor = paper_4()
@@ -124,7 +124,7 @@ def test_sub_beams_at_borders_of_halves_and_nodes() -> None:
         assert np.abs(found.xyz_lcs_mm - X).max() < 1e-9
 
 
-def test_all_pixels_get_the_root_of_a_plain_search() -> None:
+def test_all_pixels_get_the_root_of_a_plain_search():
     """A signed halving of 2000 samples a ray, written without the kernel, finds the same points and the same
     gaps."""
     from thalweg.lightsheet.optics import refract_to_water
@@ -161,7 +161,7 @@ def test_all_pixels_get_the_root_of_a_plain_search() -> None:
 
 
 @pytest.mark.parametrize("turn", [0.0, np.pi], ids=["last along the fan", "first along the fan"])
-def test_of_two_places_on_a_ray_the_nearer_one_counts(turn: float) -> None:
+def test_of_two_places_on_a_ray_the_nearer_one_counts(turn):
     """A strongly tilted sheet that one ray meets at 14.7 mm and again at 405 mm."""
     sensor = paper_4()
     x = sensor.vector()
@@ -176,13 +176,13 @@ def test_of_two_places_on_a_ray_the_nearer_one_counts(turn: float) -> None:
 # ---------------------------------------------------------------- marks
 
 
-def test_marks_of_the_kernel_are_those_of_the_enum() -> None:
+def test_marks_of_the_kernel_are_those_of_the_enum():
     k = intersection
     numbers = [k._OK, k._NO_SHEET, k._ABOVE, k._GRAZING, k._REFLECTED, k._NO_RAY]
     assert numbers == list(Status)
 
 
-def test_pixels_whose_ray_leaves_upwards_or_along_the_window() -> None:
+def test_pixels_whose_ray_leaves_upwards_or_along_the_window():
     sensor = paper_4()
     up = replace(sensor, camera_angles_rad=np.array([np.deg2rad(-90.0), 0.0, 0.0]))
     # this camera stands on its head, so rows below the centre look up; 0.3 degrees are 11.4 pixels
@@ -192,14 +192,14 @@ def test_pixels_whose_ray_leaves_upwards_or_along_the_window() -> None:
     assert np.isnan(found.xyz_lcs_mm[:2]).all()
 
 
-def test_sheet_met_above_the_window_is_no_point() -> None:
+def test_sheet_met_above_the_window_is_no_point():
     sensor = paper_4()
     found = intersect(sensor, [[2040.0, 1024.0]])
     assert found.status[0] == Status.ABOVE_WINDOW
     assert np.isnan(found.depth_mm[0])
 
 
-def test_rays_within_the_sheet_are_grazing() -> None:
+def test_rays_within_the_sheet_are_grazing():
     sensor = paper_4()
     sheet = replace(sensor.sheet, origin_lcs_mm=np.array([0.0, 0.0, 50.0]), angles_rad=np.zeros(3))
     flat = replace(
@@ -217,7 +217,7 @@ def test_rays_within_the_sheet_are_grazing() -> None:
     assert np.isnan(found.xyz_lcs_mm).all()
 
 
-def test_total_reflection_is_marked() -> None:
+def test_total_reflection_is_marked():
     """A housing full of water that looks into air."""
     sensor = paper_4()
     window = replace(sensor.window, n_air=1.335, n_water=1.0)
@@ -232,7 +232,7 @@ def test_total_reflection_is_marked() -> None:
     )  # near the critical angle digits are lost
 
 
-def test_pixels_outside_the_lens_are_marked() -> None:
+def test_pixels_outside_the_lens_are_marked():
     sensor = paper_4()
     x = sensor.vector()
     x[10] = -0.9  # the radius stops growing at 0.61 c, which the corners pass
@@ -240,7 +240,7 @@ def test_pixels_outside_the_lens_are_marked() -> None:
     assert found.status.tolist() == [Status.OUTSIDE_LENS, Status.OK, Status.OUTSIDE_LENS]
 
 
-def test_a_laser_that_shines_upwards_is_refused() -> None:
+def test_a_laser_that_shines_upwards_is_refused():
     sensor = paper_4()
     up = sensor.with_sheet(replace(sensor.sheet, angles_rad=np.array([np.pi, 0.0, 0.0])))
     with pytest.raises(GeometryError, match="no sub-beam of the fan"):
@@ -251,7 +251,7 @@ def test_a_laser_that_shines_upwards_is_refused() -> None:
         project(sensor, np.zeros((4, 2)))
 
 
-def test_a_fan_that_partly_leaves_the_window_is_cut() -> None:
+def test_a_fan_that_partly_leaves_the_window_is_cut():
     sensor = paper_4()
     wide = sensor.with_sheet(
         replace(sensor.sheet, angles_rad=np.deg2rad([0.0, 65.0, 0.0]), half_angle_rad=np.deg2rad(45.0))
@@ -262,13 +262,13 @@ def test_a_fan_that_partly_leaves_the_window_is_cut() -> None:
     assert min(abs(d[:, 2])) == pytest.approx(0.01, abs=1e-9)  # GRAZING_SINE, found by halving
 
 
-def test_no_pixels_give_no_points() -> None:
+def test_no_pixels_give_no_points():
     found = intersect(paper_4(), np.zeros((0, 2)))
     assert found.xyz_lcs_mm.shape == (0, 3)
     assert project(paper_4(), np.zeros((0, 3))).shape == (0, 2)
 
 
-def test_few_rays_run_in_one_thread_and_give_the_same() -> None:
+def test_few_rays_run_in_one_thread_and_give_the_same():
     """The number of threads is set back, also after an error, and does not change a bit of the result."""
     sensor = paper_4()
     xy = np.random.default_rng(5).uniform(200.0, 1800.0, (9000, 2))

@@ -31,7 +31,7 @@ def changed(basin: Basin, path: Path, change: Callable[[pd.DataFrame], pd.DataFr
 # ---------------------------------------------------------------- the table
 
 
-def test_the_twin_writes_what_is_read(basin: Basin) -> None:
+def test_the_twin_writes_what_is_read(basin):
     marks = read_lens_marks(basin.folder / "camera_field_marks.csv", SIZE)
     assert marks.columns.tolist() == ["image", "camera", "marker", "corner", "x_px", "y_px", "sigma_px"]
     assert marks["image"].nunique() == 24
@@ -39,7 +39,7 @@ def test_the_twin_writes_what_is_read(basin: Basin) -> None:
     assert (marks.groupby(["image", "marker"]).size() == 4).all()
 
 
-def test_a_detected_table_is_read_as_well(basin: Basin, tmp_path: Path) -> None:
+def test_a_detected_table_is_read_as_well(basin, tmp_path):
     marks = table(basin).rename(columns={"file": "image"})
     path = tmp_path / "marks.parquet"
     found = frame_of(MARKS, {**marks, "file": marks["image"], "camera": "sheet", "size_px": 20.0})
@@ -68,9 +68,7 @@ def test_a_detected_table_is_read_as_well(basin: Basin, tmp_path: Path) -> None:
         (lambda t: t[t["corner"] < 3], "no marker with all four corners"),
     ],
 )
-def test_tables_that_are_wrong(
-    basin: Basin, tmp_path: Path, change: Callable[[pd.DataFrame], pd.DataFrame], words: str
-) -> None:
+def test_tables_that_are_wrong(basin, tmp_path, change, words):
     with pytest.raises(InputError) as caught:
         read_lens_marks(changed(basin, tmp_path / "marks.csv", change), SIZE)
     assert words in str(caught.value)
@@ -81,7 +79,7 @@ def test_tables_that_are_wrong(
 
 
 @pytest.fixture(scope="module")
-def jobs(basin: Basin, tmp_path_factory: pytest.TempPathFactory) -> Jobs:
+def jobs(basin, tmp_path_factory):
     done = Jobs(tmp_path_factory.mktemp("lens"))
     done.calibrate_camera(basin)
     done.orient(basin, interior=[done.out / "camera_interior.yaml"])
@@ -90,7 +88,7 @@ def jobs(basin: Basin, tmp_path_factory: pytest.TempPathFactory) -> Jobs:
     return done
 
 
-def test_files_of_the_calibration(jobs: Jobs) -> None:
+def test_files_of_the_calibration(jobs):
     calibration = read_calibration(jobs.out / "camera_interior.yaml")
     assert [block.name for block in calibration.blocks] == [LENS_BLOCK]
     assert calibration.source.twin
@@ -104,7 +102,7 @@ def test_files_of_the_calibration(jobs: Jobs) -> None:
     assert residuals["used"].sum() == report["adjustment"]["marks"] - report["adjustment"]["marks_rejected"]
 
 
-def test_its_covariance_arrives_in_the_calibrated_sensor(jobs: Jobs, basin: Basin) -> None:
+def test_its_covariance_arrives_in_the_calibrated_sensor(jobs, basin):
     camera = read_camera(jobs.out / "camera_interior.yaml")
     sensor = read_sensor(jobs.out / "sensor.yaml")
     np.testing.assert_allclose(sensor.cov[LENS, LENS], camera.cov, rtol=1e-9, atol=1e-18)
@@ -125,7 +123,7 @@ def test_its_covariance_arrives_in_the_calibrated_sensor(jobs: Jobs, basin: Basi
     assert np.sqrt(design.cov[LENS, LENS][0, 0]) > 1.5 * np.sqrt(camera.cov[0, 0])
 
 
-def test_without_a_marker_field_the_design_counts(jobs: Jobs, basin: Basin, tmp_path: Path) -> None:
+def test_without_a_marker_field_the_design_counts(jobs, basin, tmp_path):
     sensor = Jobs(tmp_path).orient(basin)
     report = json.loads((tmp_path / "orient_sheet_camera.report").read_text())
     assert report["interior_orientation"] == "the design"
@@ -134,7 +132,7 @@ def test_without_a_marker_field_the_design_counts(jobs: Jobs, basin: Basin, tmp_
     assert np.abs(other.camera.parameters[4:]).min() > 0.0
 
 
-def test_a_message_names_the_table(basin: Basin, tmp_path: Path) -> None:
+def test_a_message_names_the_table(basin, tmp_path):
     few = changed(basin, tmp_path / "few.csv", lambda t: t[t["file"] < "field_005.png"])
     with pytest.raises(GeometryError, match=r"few\.csv: 4 pictures of the field"):
         Jobs(tmp_path).calibrate_camera(basin, marks=few)

@@ -25,7 +25,7 @@ def unit(x) -> np.ndarray:
 
 
 @pytest.mark.parametrize(("n_1", "n_2"), [(1.0, 1.52), (1.52, 1.335), (1.335, 1.0)])
-def test_snell_in_space(n_1: float, n_2: float) -> None:
+def test_snell_in_space(n_1, n_2):
     rng = np.random.default_rng(1)
     v, N = unit(rng.normal(size=(2000, 3))), unit(rng.normal(size=(2000, 3)))
     out, lost = refract(v, N, n_1, n_2)
@@ -70,7 +70,7 @@ def test_the_closed_form_is_the_traced_ray(angle, azimuth, thickness, glass, wat
     assert np.abs(directions_to_points(origin, X, window) - d).max() < 1e-11
 
 
-def test_fermat() -> None:
+def test_fermat():
     """The optical path from a camera to a point is stationary in the points on both faces: no law of
     refraction."""
     sensor = paper_4()
@@ -94,7 +94,7 @@ def test_fermat() -> None:
     assert np.abs(gradient(inner, outer, end, window.n_glass, window.n_water)).max() < 1e-9
 
 
-def test_total_reflection_and_rays_that_go_away_are_marked() -> None:
+def test_total_reflection_and_rays_that_go_away_are_marked():
     window = Window(thickness_mm=5.0, n_air=1.335, n_glass=1.52, n_water=1.0)
     critical = math.asin(1.0 / 1.335)
     angles = np.array([0.0, critical - 1e-6, critical + 1e-6, 1.4, 1.7])
@@ -113,7 +113,7 @@ def test_total_reflection_and_rays_that_go_away_are_marked() -> None:
     assert np.abs(directions_to_points([0, 0, 50.0], X, window) - d[:2]).max() < 1e-9
 
 
-def test_a_ray_from_water_into_air_by_hand() -> None:
+def test_a_ray_from_water_into_air_by_hand():
     """From n = 4/3 at 45 degrees: sine 0.94281 in air, tangent 2 sqrt 2. 1 m each way: 1 + 2 sqrt 2 aside.
 
     The critical angle has the tangent 1.134: a step towards it from below would go beyond.
@@ -124,7 +124,7 @@ def test_a_ray_from_water_into_air_by_hand() -> None:
     np.testing.assert_allclose(found, [[np.sqrt(0.5), 0.0, -np.sqrt(0.5)]], atol=1e-12)
 
 
-def test_a_point_above_the_window_has_no_direction() -> None:
+def test_a_point_above_the_window_has_no_direction():
     window = Window(thickness_mm=5.0, n_glass=1.52, n_water=1.335)
     found = directions_to_points([0, 0, 50.0], [[0, 0, -4.9], [1, 1, -5.0], [0, 0, -60.0]], window)
     assert np.isnan(found[0]).all()
@@ -135,7 +135,7 @@ def test_a_point_above_the_window_has_no_direction() -> None:
 # ---------------------------------------------------------------- refractive indices
 
 
-def test_water_of_the_published_tables() -> None:
+def test_water_of_the_published_tables():
     # Schiebener et al. 1990 at 520 nm against the vacuum, five digits
     for celsius, n in ((10, 1.33660), (20, 1.33588), (30, 1.33481)):
         assert refractive_index.water(520.0, celsius) == pytest.approx(n, abs=6e-6)
@@ -145,7 +145,7 @@ def test_water_of_the_published_tables() -> None:
     assert 0.0006 < refractive_index.water(520, 10) - refractive_index.water(520, 20) < 0.0012
 
 
-def test_air() -> None:
+def test_air():
     # Ciddor 1996, dry air at 15 degrees: 27716e-8 at 633 nm with 450 ppm of carbon dioxide: 1e-7 for that
     assert refractive_index.air(633.0) - 1 == pytest.approx(27651e-8, abs=1e-7)
 
@@ -160,12 +160,12 @@ def test_air() -> None:
         (lambda: refractive_index.water(float("nan"), 20.0), "wavelength"),
     ],
 )
-def test_other_units_are_refused(call, answer: str) -> None:
+def test_other_units_are_refused(call, answer):
     with pytest.raises(InputError, match=answer):
         call()
 
 
-def test_the_ends_of_what_water_and_air_may_be_belong_to_it() -> None:
+def test_the_ends_of_what_water_and_air_may_be_belong_to_it():
     """Sea water freezes at -2 degrees; 40 degrees and 40 parts of salt end the formulas."""
     assert refractive_index.water(520.0, -2.0, 40.0) > refractive_index.water(520.0, 40.0, 40.0)
     assert refractive_index.air(520.0, -40.0, 1100.0) > refractive_index.air(520.0, 60.0, 300.0)
@@ -175,7 +175,7 @@ def test_the_ends_of_what_water_and_air_may_be_belong_to_it() -> None:
 
 
 @pytest.mark.parametrize("wavelength_nm", [420.0, 700.0])
-def test_the_ends_of_the_visible_belong_to_it(wavelength_nm: float) -> None:
+def test_the_ends_of_the_visible_belong_to_it(wavelength_nm):
     outside = wavelength_nm + (0.5 if wavelength_nm > 500 else -0.5)
     for n in (lambda nm: refractive_index.water(nm, 20.0), lambda nm: refractive_index.air(nm)):
         assert n(wavelength_nm) > 1.0
@@ -183,14 +183,14 @@ def test_the_ends_of_the_visible_belong_to_it(wavelength_nm: float) -> None:
             n(outside)
 
 
-def test_air_is_thinner_where_it_is_warm_or_high_up() -> None:
+def test_air_is_thinner_where_it_is_warm_or_high_up():
     """What is beyond 1 grows with pressure over absolute temperature: 288.15 K at 15 degrees."""
     standard = refractive_index.air(520.0) - 1
     assert refractive_index.air(520.0, 30.0) - 1 == pytest.approx(standard * 288.15 / 303.15, rel=1e-9)
     assert refractive_index.air(520.0, 15.0, 900.0) - 1 == pytest.approx(standard * 900 / 1013.25, rel=1e-9)
 
 
-def test_each_reason_for_no_number_has_a_number_of_its_own() -> None:
+def test_each_reason_for_no_number_has_a_number_of_its_own():
     """Files and figures hold the numbers: they stay what they were."""
     assert {status.name: status.value for status in Status} == {
         "OK": 0,

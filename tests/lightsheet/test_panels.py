@@ -1,7 +1,5 @@
 """Depths of a panel: the table, the comparison, and what does not belong together."""
 
-from pathlib import Path
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -29,7 +27,7 @@ def series(
     return points, panels, images
 
 
-def test_errors_are_measured_minus_stated() -> None:
+def test_errors_are_measured_minus_stated():
     points, panels, images = series([[0.1, 0.3], [-0.2], [0.0, 0.0, 0.6]])
     images.loc[2, "points"] = 5
     found, table = compare_panels(points, panels, images)
@@ -47,7 +45,7 @@ def test_errors_are_measured_minus_stated() -> None:
     np.testing.assert_allclose(found["expected_depth_mm"], np.repeat(DEPTHS, [2, 1, 3]))
 
 
-def test_an_image_that_gives_nothing_keeps_its_row_and_its_reason() -> None:
+def test_an_image_that_gives_nothing_keeps_its_row_and_its_reason():
     points, panels, images = series([[0.1], [], []])
     images["points"], images["reason"] = [1, 0, 7], [np.nan, "the image is over-exposed", np.nan]
     _, table = compare_panels(points, panels, images)
@@ -61,7 +59,7 @@ def test_an_image_that_gives_nothing_keeps_its_row_and_its_reason() -> None:
     assert table["n_off_sheet"].tolist() == [0, 0, 7]
 
 
-def test_names_that_do_not_agree() -> None:
+def test_names_that_do_not_agree():
     points, panels, images = series([[0.1], [0.1], [0.1]])
     other = panels.assign(file=["a.png", "b.png", "C.PNG"])
     with pytest.raises(InputError, match=r"1 images without a depth, such as c.png.*column file"):
@@ -85,7 +83,7 @@ def test_names_that_do_not_agree() -> None:
         ("file,depth_mm,sigma_mm\na.png,0.1289,0.00002\n", "no depth exceeds 0.1289 mm.*by 1000"),
     ],
 )
-def test_tables_that_are_wrong(tmp_path: Path, text: str, words: str) -> None:
+def test_tables_that_are_wrong(tmp_path, text, words):
     path = tmp_path / "panels.csv"
     path.write_text(text)
     with pytest.raises(InputError, match=words) as caught:
@@ -94,7 +92,7 @@ def test_tables_that_are_wrong(tmp_path: Path, text: str, words: str) -> None:
     assert caught.value.expected
 
 
-def test_a_table_as_people_write_it(tmp_path: Path) -> None:
+def test_a_table_as_people_write_it(tmp_path):
     path = tmp_path / "panels.csv"
     path.write_text("file, object, depth_mm, sigma_mm\n 0012, panel, 128.9, 0.02\n")
     table = read_panels(path)
@@ -124,7 +122,7 @@ def lines_on_panels(seen_by: Sensor) -> tuple[pd.DataFrame, pd.DataFrame, pd.Dat
     return table, panels, pd.DataFrame({"file": NAMES, "points": points, "reason": ""})
 
 
-def test_panels_of_a_good_sensor_come_back() -> None:
+def test_panels_of_a_good_sensor_come_back():
     _, rows = measure_panels(SENSOR, *lines_on_panels(SENSOR))
     # no noise: solver and projection agree to 1e-9 mm
     assert rows["mean_mm"].abs().max() < 1e-6

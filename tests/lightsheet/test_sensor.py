@@ -24,7 +24,7 @@ from thalweg.lightsheet.optics.sensor import file_derivatives, sensor_calibratio
 SOURCE = Source(run="tank", method="two levels")
 
 
-def test_the_papers_ray_is_the_ray_of_the_camera_frame() -> None:
+def test_the_papers_ray_is_the_ray_of_the_camera_frame():
     """P4: the ray of the image point (x', y') is R (x', y', -c); here rows count downwards."""
     sensor = paper_4()
     x, y = 2.0, -3.0
@@ -34,7 +34,7 @@ def test_the_papers_ray_is_the_ray_of_the_camera_frame() -> None:
     assert np.abs(papers / np.linalg.norm(papers) - ours).max() < 1e-15
 
 
-def test_the_fan_of_paper_3_lies_along_y() -> None:
+def test_the_fan_of_paper_3_lies_along_y():
     sheet = paper_3().sheet
     a = 0.3
     printed = rotation_opk(0.0, np.deg2rad(-31.324), np.deg2rad(-0.355)) @ [0.0, np.sin(a), -np.cos(a)]
@@ -46,7 +46,7 @@ def base_mm(sensor: Sensor) -> float:
     return float(np.linalg.norm(sensor.camera_origin_lcs_mm - sensor.sheet.origin_lcs_mm))
 
 
-def test_bases_and_published_sigmas() -> None:
+def test_bases_and_published_sigmas():
     # P3 Table 1: 225 mm decoded as 225.6; P4 Table 1: 17.4 cm. A tenth of the last digit.
     assert base_mm(paper_3()) == pytest.approx(225.6, abs=0.05)
     assert base_mm(paper_4()) == pytest.approx(174.0, abs=0.05)
@@ -56,14 +56,14 @@ def test_bases_and_published_sigmas() -> None:
     assert sigma["fx"] == pytest.approx(0.004 / 0.0055)
 
 
-def test_beams_keep_their_direction_cosine_and_length() -> None:
+def test_beams_keep_their_direction_cosine_and_length():
     sheet = replace(paper_4().sheet, v=0.12)
     local = sheet.beams(np.linspace(-0.7, 0.7, 9)) @ sheet.R_lcs_las
     assert np.abs(local[:, 1] - 0.12).max() < 1e-15
     assert np.abs(np.linalg.norm(local, axis=1) - 1).max() < 1e-15
 
 
-def test_the_vector_comes_back_and_its_names_are_right() -> None:
+def test_the_vector_comes_back_and_its_names_are_right():
     sensor = paper_4()
     x = sensor.vector() + np.linspace(0.001, 0.02, len(PARAMETERS))
     other = sensor.with_vector(x)
@@ -89,7 +89,7 @@ def awkward() -> Sensor:
     return replace(tilted, sheet=replace(tilted.sheet, v=0.05, half_angle_rad=0.6))
 
 
-def test_a_file_gives_the_sensor_back(tmp_path) -> None:
+def test_a_file_gives_the_sensor_back(tmp_path):
     sensor = awkward()
     write_sensor(tmp_path / "s.yaml", sensor, source=SOURCE)
     back = read_sensor(tmp_path / "s.yaml")
@@ -106,7 +106,7 @@ def test_a_file_gives_the_sensor_back(tmp_path) -> None:
     assert (tmp_path / "s.yaml").read_bytes() == text
 
 
-def test_a_pose_of_the_file_is_that_of_the_sensor() -> None:
+def test_a_pose_of_the_file_is_that_of_the_sensor():
     """The blocks are poses of the house: `Calibration.pose` gives the same rotation and rotation-vector
     errors."""
     sensor = awkward()
@@ -124,7 +124,7 @@ def test_a_pose_of_the_file_is_that_of_the_sensor() -> None:
     )  # second order of 1e-6
 
 
-def test_describe_prints_it() -> None:
+def test_describe_prints_it():
     lines = describe(RESOURCES / "paper_4.yaml").lines()
     assert any("sheet_laser" in line for line in lines)
     assert any("n_water" in line and "1.3350 ± 0.0010" in line for line in lines)
@@ -141,7 +141,7 @@ def test_describe_prints_it() -> None:
         ('n_glass: {value: 1.52, sigma: 0.0, unit: "1"}\n', "n_glass: {value: 1.52, sigma: -1}\n", "mistake"),
     ],
 )
-def test_a_wrong_file_says_where_and_what(tmp_path, old: str, new: str, answer: str) -> None:
+def test_a_wrong_file_says_where_and_what(tmp_path, old, new, answer):
     text = (RESOURCES / "paper_4.yaml").read_text()
     assert old in text
     path = tmp_path / "wrong.yaml"
@@ -152,12 +152,12 @@ def test_a_wrong_file_says_where_and_what(tmp_path, old: str, new: str, answer: 
     assert str(path) in str(error.value)
 
 
-def test_a_missing_file_is_named(tmp_path) -> None:
+def test_a_missing_file_is_named(tmp_path):
     with pytest.raises(ThalwegError, match="no such file"):
         read_sensor(tmp_path / "none.yaml")
 
 
-def test_impossible_parts_are_refused() -> None:
+def test_impossible_parts_are_refused():
     sensor = paper_4()
     with pytest.raises(GeometryError, match="positive height"):
         replace(sensor, camera_origin_lcs_mm=np.array([0.0, 0.0, -1.0]))
@@ -179,7 +179,7 @@ def test_impossible_parts_are_refused() -> None:
         LightSheet(origin_lcs_mm=np.array([0.0, np.nan, 1.0]), angles_rad=np.zeros(3), half_angle_rad=0.5)
 
 
-def test_errors_of_omega_and_kappa_need_a_phi_away_from_90_degrees() -> None:
+def test_errors_of_omega_and_kappa_need_a_phi_away_from_90_degrees():
     sensor = paper_4()
     x = sensor.vector()
     x[19] = np.pi / 2
@@ -187,7 +187,7 @@ def test_errors_of_omega_and_kappa_need_a_phi_away_from_90_degrees() -> None:
         sensor_calibration(sensor.with_vector(x), source=SOURCE)
 
 
-def test_a_lens_of_another_model_is_no_sensor(tmp_path) -> None:
+def test_a_lens_of_another_model_is_no_sensor(tmp_path):
     text = (RESOURCES / "paper_4.yaml").read_text()
     text = text.replace('      k3: {value: 0.0, sigma: 0.0, unit: "1"}\n', "")
     (tmp_path / "k.yaml").write_text(text)

@@ -8,7 +8,6 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from tests.lightsheet.basin import Basin
 from thalweg.core import GeometryError, InputError, read_table, write_table
 from thalweg.lightsheet.calibration import read_grid
 from thalweg.lightsheet.lines import LineSettings, detect_lines, pooled_shift, without_shift
@@ -63,7 +62,7 @@ def _sorted(depth: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 # ---------------------------------------------------------------- images
 
 
-def test_colours_come_red_first_and_a_mosaic_as_it_is(tmp_path: Path) -> None:
+def test_colours_come_red_first_and_a_mosaic_as_it_is(tmp_path):
     colour = np.zeros((20, 30, 3), np.uint8)
     colour[..., 0], colour[..., 1], colour[..., 2] = 10, 20, 30
     cv2.imwrite(str(tmp_path / "a.png"), colour[:, :, ::-1])
@@ -76,7 +75,7 @@ def test_colours_come_red_first_and_a_mosaic_as_it_is(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read_sheet_image(tmp_path / "c.tiff"), deep)
 
 
-def test_files_that_are_no_images(tmp_path: Path) -> None:
+def test_files_that_are_no_images(tmp_path):
     (tmp_path / "empty.png").touch()
     (tmp_path / "text.png").write_text("no image")
     for name, words in (
@@ -88,7 +87,7 @@ def test_files_that_are_no_images(tmp_path: Path) -> None:
             read_sheet_image(tmp_path / f"{name}.png")
 
 
-def test_points_of_all_images_and_counts_of_each(basin: Basin) -> None:
+def test_points_of_all_images_and_counts_of_each(basin):
     points, counts = detect_series(basin.images("panels"), LineSettings(), SIZE, threads=2)
     assert list(points.columns) == list(SERIES_POINTS.names)
     names = [path.name for path in basin.images("panels")]
@@ -102,7 +101,7 @@ def test_points_of_all_images_and_counts_of_each(basin: Basin) -> None:
     pd.testing.assert_frame_equal(points, again)
 
 
-def test_an_image_without_a_line_is_counted_and_told(basin: Basin, tmp_path: Path, caplog) -> None:
+def test_an_image_without_a_line_is_counted_and_told(basin, tmp_path, caplog):
     dark, bright = tmp_path / "dark.png", tmp_path / "bright.png"
     cv2.imwrite(str(dark), np.full((512, 512), 3, np.uint8))
     cv2.imwrite(str(bright), np.full((512, 512), 255, np.uint8))
@@ -119,7 +118,7 @@ def test_an_image_without_a_line_is_counted_and_told(basin: Basin, tmp_path: Pat
         detect_series([bright, dark], LineSettings(), SIZE)
 
 
-def test_series_that_cannot_be(basin: Basin, tmp_path: Path) -> None:
+def test_series_that_cannot_be(basin, tmp_path):
     image = basin.images("panels")[0]
     with pytest.raises(InputError, match="no images"):
         detect_series([], LineSettings(), SIZE)
@@ -131,7 +130,7 @@ def test_series_that_cannot_be(basin: Basin, tmp_path: Path) -> None:
         detect_series([image, copy], LineSettings(), SIZE)
 
 
-def test_a_grid_is_calibrated_from_one_image(basin: Basin) -> None:
+def test_a_grid_is_calibrated_from_one_image(basin):
     table = line_table(np.zeros((4, 2))).assign(file=["a.png", "a.png", "b.png", "b.png"])
     with pytest.raises(
         InputError, match=r"x: line points of 2 images, such as a.png and b.png.*Name one image"
@@ -147,7 +146,7 @@ def test_a_grid_is_calibrated_from_one_image(basin: Basin) -> None:
 # ---------------------------------------------------------------- points
 
 
-def test_points_come_back_to_their_pixels_in_millimetres() -> None:
+def test_points_come_back_to_their_pixels_in_millimetres():
     sensor = paper_4()
     found, counts = points_on_sheet(sensor, line_table(on_plane(sensor, 125.0)))
     assert list(found.columns) == list(SHEET_POINTS.names)
@@ -161,7 +160,7 @@ def test_points_come_back_to_their_pixels_in_millimetres() -> None:
     assert found["flags"].tolist() == [k % 2 for k in range(40)]
 
 
-def test_the_covariance_is_that_of_the_scatter() -> None:
+def test_the_covariance_is_that_of_the_scatter():
     """2000 shifted copies of one line point along its direction of measurement."""
     sensor = paper_4()
     xy, angle, sigma = on_plane(sensor, 125.0, 3)[1], 0.3, 0.2
@@ -180,7 +179,7 @@ def test_the_covariance_is_that_of_the_scatter() -> None:
     assert values[1] < 1e-9 * values[2]
 
 
-def test_sigma_of_the_depth_holds_pixel_and_sensor() -> None:
+def test_sigma_of_the_depth_holds_pixel_and_sensor():
     sensor, xy = paper_4(), on_plane(paper_4(), 125.0, 5)
     cov = np.zeros((26, 26))
     cov[PARAMETERS.index("n_water"), PARAMETERS.index("n_water")] = 1e-3**2
@@ -196,7 +195,7 @@ def test_sigma_of_the_depth_holds_pixel_and_sensor() -> None:
     np.testing.assert_allclose(both["cov_zz_mm2"], alone["cov_zz_mm2"], rtol=1e-12)
 
 
-def test_points_off_the_sheet_are_counted_and_never_numbers() -> None:
+def test_points_off_the_sheet_are_counted_and_never_numbers():
     sensor = paper_4()
     good = on_plane(sensor, 125.0, 5)
     beside = np.array([[2040.0, 10.0], [np.nan, 5.0]])
@@ -209,14 +208,14 @@ def test_points_off_the_sheet_are_counted_and_never_numbers() -> None:
         points_on_sheet(sensor, line_table(beside))
 
 
-def test_covariance_by_hand() -> None:
+def test_covariance_by_hand():
     by_pixel = np.array([[[1.0, 0.0], [0.0, 2.0], [3.0, 4.0]]])
     cov = image_covariance(by_pixel, np.array([0.5]), np.array([np.pi / 2]))
     # along the rows' direction down: (0, 2, 4) half a pixel each
     np.testing.assert_allclose(cov[0], 0.25 * np.outer([0, 2, 4], [0, 2, 4]), atol=1e-12)
 
 
-def test_a_tilted_window_measures_depth_along_its_normal() -> None:
+def test_a_tilted_window_measures_depth_along_its_normal():
     sensor = paper_4()
     tilted = replace(sensor, window=replace(sensor.window, tilt_x_rad=0.02, tilt_y_rad=-0.01))
     found, _ = points_on_sheet(tilted, line_table(on_plane(sensor, 125.0, 5)))
@@ -225,7 +224,7 @@ def test_a_tilted_window_measures_depth_along_its_normal() -> None:
     np.testing.assert_allclose(found["depth_mm"], depth, atol=1e-9)
 
 
-def test_a_series_removes_the_shift_that_its_images_have_in_common(tmp_path: Path) -> None:
+def test_a_series_removes_the_shift_that_its_images_have_in_common(tmp_path):
     """P4 7.2: what one image cannot tell from nothing, all of them can; the table keeps what was done."""
     sensor, light = sized(paper_4(), SheetImage(), "tiny")
     chip = light.chip.model_copy(update={"peak_dn": 1200.0, "ambient_dn": 0.0})

@@ -18,7 +18,7 @@ from thalweg.settings.sections import LightSheet, SheetCalibration, SheetWater
 
 
 @pytest.fixture
-def jobs(done: Jobs, tmp_path: Path) -> Jobs:
+def jobs(done, tmp_path):
     """A folder of its own with the results of the good run."""
     for path in done.out.iterdir():
         (tmp_path / path.name).write_bytes(path.read_bytes())
@@ -49,7 +49,7 @@ def grid_images(basin: Basin, folder: Path, change: Callable[[Any], Any]) -> lis
 # ---------------------------------------------------------------- what they yield
 
 
-def test_panels_lie_within_their_prediction(done: Jobs) -> None:
+def test_panels_lie_within_their_prediction(done):
     table = pd.read_csv(done.out / "depths.csv")
     assert table["depth_mm"].round(1).tolist() == [128.9, 122.7, 83.1, 72.7]
     assert table["reason"].isna().all()
@@ -66,7 +66,7 @@ def test_panels_lie_within_their_prediction(done: Jobs) -> None:
     assert (table["n_off_sheet"] == 0).all()
 
 
-def test_the_files_say_where_they_come_from(done: Jobs) -> None:
+def test_the_files_say_where_they_come_from(done):
     report = json.loads((done.out / "calibration.json").read_text())
     assert {p["name"] for p in report["parameters"] if p["treated"] == "estimated"} == {
         "laser_x_mm",
@@ -81,7 +81,7 @@ def test_the_files_say_where_they_come_from(done: Jobs) -> None:
         assert "twin: true" in text
 
 
-def test_the_camera_stands_over_the_face_that_the_marks_stick_to(done: Jobs, basin: Basin) -> None:
+def test_the_camera_stands_over_the_face_that_the_marks_stick_to(done, basin):
     """On the outer face: with thicker glass than stated the camera stands higher over it than believed."""
     cov = read_sensor(done.out / "camera.yaml").cov
     glass, height = PARAMETERS.index("glass_mm"), PARAMETERS.index("camera_z_mm")
@@ -90,7 +90,7 @@ def test_the_camera_stands_over_the_face_that_the_marks_stick_to(done: Jobs, bas
     assert cov[height, height] > stated
 
 
-def test_what_is_estimated_jointly_comes_from_the_campaign(basin: Basin, jobs: Jobs) -> None:
+def test_what_is_estimated_jointly_comes_from_the_campaign(basin, jobs):
     settings = LightSheet(calibration=SheetCalibration(jointly=("levels", "water")))
     found = Jobs(jobs.out, settings).calibrate(basin)
     report = json.loads((jobs.out / "calibration.json").read_text())
@@ -101,7 +101,7 @@ def test_what_is_estimated_jointly_comes_from_the_campaign(basin: Basin, jobs: J
     assert 0.8e-3 < np.sqrt(found.cov[k, k]) <= 1e-3
 
 
-def test_three_levels(tmp_path: Path) -> None:
+def test_three_levels(tmp_path):
     """FW17: with a third level the depths are estimated as well; the campaign tells how many there are."""
     basin = recorded(tmp_path / "logs", 3, changes={"levels_mm": [60.0, 105.0, 150.0]})
     jobs = Jobs(tmp_path / "out", LightSheet(calibration=SheetCalibration(levels=3)))
@@ -121,14 +121,14 @@ def test_three_levels(tmp_path: Path) -> None:
 # ---------------------------------------------------------------- section 9: images
 
 
-def test_a_flipped_picture(basin: Basin, jobs: Jobs) -> None:
+def test_a_flipped_picture(basin, jobs):
     """This one fits as well: only the design of the laser tells; the others: calibrate/test_bad_input.py."""
     images = grid_images(basin, jobs.out / "flipped", lambda image: image[::-1])
     jobs.detect(basin, "calibration", images)
     assert "mirrored top to bottom" in told(lambda: jobs.calibrate(basin), GeometryError)
 
 
-def test_over_exposed_empty_and_foreign_pictures(basin: Basin, jobs: Jobs) -> None:
+def test_over_exposed_empty_and_foreign_pictures(basin, jobs):
     def told_for(name: str, change: Callable[[Any], Any]) -> str:
         images = grid_images(basin, jobs.out / name, change)
         return told(lambda: jobs.detect(basin, "calibration", images), InputError)
@@ -143,7 +143,7 @@ def test_over_exposed_empty_and_foreign_pictures(basin: Basin, jobs: Jobs) -> No
         jobs.detect(basin, "calibration", [jobs.out / "nothing"])
 
 
-def test_two_pictures_of_the_grid(basin: Basin, jobs: Jobs) -> None:
+def test_two_pictures_of_the_grid(basin, jobs):
     image = basin.images("calibration")[0]
     copy = jobs.out / "second.png"
     copy.write_bytes(image.read_bytes())
@@ -156,7 +156,7 @@ def test_two_pictures_of_the_grid(basin: Basin, jobs: Jobs) -> None:
 # ---------------------------------------------------------------- section 9: panels, camera
 
 
-def test_an_over_exposed_panel_is_a_row_with_its_reason(basin: Basin, jobs: Jobs) -> None:
+def test_an_over_exposed_panel_is_a_row_with_its_reason(basin, jobs):
     folder = jobs.out / "panels_images"
     folder.mkdir()
     for path in basin.images("panels"):
@@ -170,7 +170,7 @@ def test_an_over_exposed_panel_is_a_row_with_its_reason(basin: Basin, jobs: Jobs
     assert (table["n"].drop(1) > 300).all()
 
 
-def test_marks_in_millimetres(basin: Basin, jobs: Jobs) -> None:
+def test_marks_in_millimetres(basin, jobs):
     path = jobs.out / "points.csv"
     table = pd.read_csv(basin.folder / "mark_points.csv")
     for name in table.columns[1:]:
@@ -181,7 +181,7 @@ def test_marks_in_millimetres(basin: Basin, jobs: Jobs) -> None:
 
 
 @pytest.mark.parametrize(("x", "y"), [(True, False), (False, True), (True, True)])
-def test_marks_of_a_flipped_picture(basin: Basin, jobs: Jobs, x: bool, y: bool) -> None:
+def test_marks_of_a_flipped_picture(basin, jobs, x, y):
     table = pd.read_csv(basin.folder / "camera_marks.csv")
     path = jobs.out / "marks.csv"
     if x:
@@ -194,9 +194,7 @@ def test_marks_of_a_flipped_picture(basin: Basin, jobs: Jobs, x: bool, y: bool) 
     assert "neither turned nor mirrored" in text or "mounted upside down" in text
 
 
-def test_a_calibration_takes_the_temperature_of_the_campaign(
-    basin: Basin, done: Jobs, tmp_path: Path
-) -> None:
+def test_a_calibration_takes_the_temperature_of_the_campaign(basin, done, tmp_path):
     """The twin's water has 18 degrees; its design states the index with a sigma of 1e-3."""
     for path in done.out.iterdir():
         (tmp_path / path.name).write_bytes(path.read_bytes())

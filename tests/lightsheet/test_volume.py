@@ -19,7 +19,7 @@ from thalweg.lightsheet.optics import (
 from thalweg.lightsheet.optics.lookup import EXACT
 
 
-def test_volume_of_paper_4() -> None:
+def test_volume_of_paper_4():
     """The fitted geometry gives 246.5, 217.8, 81.6 mm; P4 5 prints 248, 227, 81."""
     volume = measurement_volume(paper_4())
     assert volume.depth_mm[0] == pytest.approx(0.0, abs=1e-9)
@@ -32,7 +32,7 @@ def test_volume_of_paper_4() -> None:
     assert volume.share == volume.shares["OK"]
 
 
-def test_depth_range_of_paper_3() -> None:
+def test_depth_range_of_paper_3():
     """From the glass's top: 51.3 to 193.3 mm at 20 mm, 55.7 to 186.0 mm at 21.59; P3 prints 54 to 185."""
     sensor = paper_3()
     low, high = measurement_volume(sensor, 32).depth_mm
@@ -44,7 +44,7 @@ def test_depth_range_of_paper_3() -> None:
     assert (low + 5, high + 5) == (pytest.approx(55.7, abs=0.2), pytest.approx(186.0, abs=0.2))
 
 
-def test_lines_of_equal_depth_run_from_right_to_left() -> None:
+def test_lines_of_equal_depth_run_from_right_to_left():
     """P4 Fig. 11: 0, 50, 125 and 250 mm from right to left; 250 mm lies outside the picture here, 246 at its
     edge."""
     lines = depth_lines(paper_4(), [0, 50, 125, 240])
@@ -58,7 +58,7 @@ def test_lines_of_equal_depth_run_from_right_to_left() -> None:
         depth_lines(paper_4(), [-1.0])
 
 
-def test_grid_covers_the_picture_to_its_borders() -> None:
+def test_grid_covers_the_picture_to_its_borders():
     grid = picture_grid(paper_4(), 100)
     assert grid.x_px[0] == 0.5
     assert grid.x_px[-1] == 2047.5
@@ -68,7 +68,7 @@ def test_grid_covers_the_picture_to_its_borders() -> None:
     assert np.array_equal(one.xyz_lcs_mm[0], grid.xyz_lcs_mm[i, j])
 
 
-def test_a_sensor_that_sees_nothing_says_so() -> None:
+def test_a_sensor_that_sees_nothing_says_so():
     sensor = paper_4()
     away = replace(
         sensor.with_sheet(replace(sensor.sheet, angles_rad=np.deg2rad([-27.0, 0.0, 0.0]))),
@@ -79,7 +79,7 @@ def test_a_sensor_that_sees_nothing_says_so() -> None:
 
 
 @pytest.mark.parametrize("distortion", [0.0, -0.08])
-def test_table_and_solver_agree(tmp_path, distortion: float) -> None:
+def test_table_and_solver_agree(tmp_path, distortion):
     """By cubic polynomials through 4 x 4 nodes, as the table says of itself: 5e-5 mm are demanded."""
     sensor = paper_4()
     x = sensor.vector()

@@ -10,7 +10,7 @@ from thalweg.lightsheet.optics import PARAMETERS, WaterState, air, in_measured_w
 from thalweg.lightsheet.optics.refractive_index import N_WATER
 
 
-def test_index_is_that_of_the_formulas_against_air() -> None:
+def test_index_is_that_of_the_formulas_against_air():
     n, _ = WaterState(temperature_c=12.0, salinity_psu=3.0, wavelength_nm=532.0).index()
     assert n == pytest.approx(water(532.0, 12.0, 3.0) / air(532.0), abs=1e-12)
     vacuum, _ = WaterState(temperature_c=12.0).index(n_air=air(520.0))
@@ -18,14 +18,14 @@ def test_index_is_that_of_the_formulas_against_air() -> None:
     assert vacuum == pytest.approx(water(520.0, 12.0), abs=1e-12)
 
 
-def test_states_without_a_formula_are_refused() -> None:
+def test_states_without_a_formula_are_refused():
     with pytest.raises(InputError, match="temperature of the water 55"):
         WaterState(temperature_c=55.0).index()
     with pytest.raises(InputError, match="no temperature"):
         WaterState().index()
 
 
-def test_the_new_index_shares_nothing_with_the_rest() -> None:
+def test_the_new_index_shares_nothing_with_the_rest():
     sensor = paper_4()
     A = np.random.default_rng(1).standard_normal((26, 26)) * np.sqrt(np.maximum(np.diag(sensor.cov), 1e-12))
     known = sensor.with_vector(sensor.vector(), cov=A.T @ A)
@@ -46,7 +46,7 @@ def test_the_new_index_shares_nothing_with_the_rest() -> None:
 
 @pytest.mark.parametrize("temperature_c", [-1.9, 0.5, 20.0, 39.9])
 @pytest.mark.parametrize("salinity_psu", [0.0, 39.9])
-def test_slopes_are_those_of_the_formulas_up_to_their_ends(temperature_c: float, salinity_psu: float) -> None:
+def test_slopes_are_those_of_the_formulas_up_to_their_ends(temperature_c, salinity_psu):
     """Differences over 0.1 degrees, 0.1 parts per thousand and 1 nm; wider ones are within 3 % of them."""
 
     def n(t: float = temperature_c, s: float = salinity_psu, nm: float = 520.0) -> float:

@@ -3,7 +3,6 @@
 import importlib.util
 import sys
 from pathlib import Path
-from typing import Any
 
 import pytest
 import yaml
@@ -12,7 +11,7 @@ HERE = Path(__file__).parent
 
 
 @pytest.fixture
-def run(monkeypatch: pytest.MonkeyPatch) -> Any:
+def run(monkeypatch):
     """`run.py` as a module; it begins nothing by itself."""
     monkeypatch.setattr(sys, "path", [*sys.path])
     spec = importlib.util.spec_from_file_location("mutants_run", HERE / "run.py")
@@ -24,7 +23,7 @@ def run(monkeypatch: pytest.MonkeyPatch) -> Any:
     return module
 
 
-def test_every_module_with_numbers_has_tests_that_answer(run: Any, repository: Path) -> None:
+def test_every_module_with_numbers_has_tests_that_answer(run, repository):
     """The rule finds them; the list of exceptions names what exists."""
     modules = {target.module: target.tests for target in run.targets()}
     assert {"thalweg/core/rigid", "thalweg/deformation/volumes", "thalweg_lab/truth/points"} <= set(modules)
@@ -64,13 +63,11 @@ def test_every_module_with_numbers_has_tests_that_answer(run: Any, repository: P
         ("def f():\n    return InputError('less', n + 1)\n", 0),
     ],
 )
-def test_what_no_test_of_results_can_see_is_left_alone(run: Any, text: str, mistakes: int) -> None:
+def test_what_no_test_of_results_can_see_is_left_alone(run, text, mistakes):
     assert len(run.mutations.sites(text)) == mistakes
 
 
-def test_an_edit_elsewhere_draws_the_same_mistakes_of_a_function(
-    run: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_edit_elsewhere_draws_the_same_mistakes_of_a_function(run, tmp_path, monkeypatch):
     monkeypatch.setattr(run, "SOURCE", tmp_path)
     target = run.Target("module", ())
     function = "def f(a, b):\n    return (a - b) * 2 if a < b else -a / 3\n"
@@ -130,9 +127,7 @@ def test_something_else():
 """
 
 
-def test_selection_loses_no_mistake_that_all_tests_find(
-    run: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_selection_loses_no_mistake_that_all_tests_find(run, tmp_path, monkeypatch):
     """Also one that a test finds which does not execute its line; what no test executes survives at once."""
     texts = {
         "src/small_library/values.py": LIBRARY,

@@ -45,7 +45,7 @@ def boat() -> Calibration:
     )
 
 
-def test_the_covariance_is_that_of_the_relative_orientation(tmp_path) -> None:
+def test_the_covariance_is_that_of_the_relative_orientation(tmp_path):
     calibration = boat()
     mounts = resolve_mounts({}, calibration)
     placed, T_ics_ccs, facts = lidar_mount_by_camera(mounts, calibration)
@@ -64,7 +64,7 @@ def test_the_covariance_is_that_of_the_relative_orientation(tmp_path) -> None:
     assert "yard" in facts["relative_orientation"]
 
 
-def test_without_the_joint_covariance_both_mounts_count_in_full() -> None:
+def test_without_the_joint_covariance_both_mounts_count_in_full():
     calibration = boat()
     placed, _, facts = lidar_mount_by_camera(resolve_mounts({}, calibration), None)
     own = Rigid.from_mount(resolve_mounts({}, calibration)["lidar"])
@@ -73,7 +73,7 @@ def test_without_the_joint_covariance_both_mounts_count_in_full() -> None:
     assert "not known" in facts["relative_orientation"]
 
 
-def test_a_calibration_of_camera_and_lidar_alone_is_used_and_compared() -> None:
+def test_a_calibration_of_camera_and_lidar_alone_is_used_and_compared():
     calibration = boat()
     mounts = resolve_mounts({}, calibration)
     block, cov = pose_block("camera_lidar", RELATIVE.with_cov(spread(2, 3e-4, 1e-4)))
@@ -88,6 +88,6 @@ def test_a_calibration_of_camera_and_lidar_alone_is_used_and_compared() -> None:
     assert "2.86 degrees from its own mount" in note
 
 
-def test_a_boat_without_a_camera_is_refused() -> None:
+def test_a_boat_without_a_camera_is_refused():
     with pytest.raises(ConfigError, match="no camera"):
         lidar_mount_by_camera({"lidar": {}}, None)

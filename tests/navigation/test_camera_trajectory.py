@@ -107,7 +107,7 @@ def taken(poses: ImagePoses, keep: np.ndarray) -> ImagePoses:
 
 
 @pytest.mark.parametrize("settings", [HALF, BRIDGE], ids=["half rotation", "bridge"])
-def test_normalised_errors_lie_in_their_band_over_sixteen_seeds(settings: CloudSettings) -> None:
+def test_normalised_errors_lie_in_their_band_over_sixteen_seeds(settings):
     """One image a seed, so that errors are independent; 16 x 6 squares have a band of 0.67 to 1.41 (99 %)."""
     after = np.array([0.0, 0.0499, -0.033]) if settings is HALF else np.array([0.0, 0.27, 0.5])
     squares = []
@@ -124,7 +124,7 @@ def test_normalised_errors_lie_in_their_band_over_sixteen_seeds(settings: CloudS
     assert np.all((low < mean) & (mean < high)), mean
 
 
-def test_the_images_rule_and_the_time_is_in_the_covariance() -> None:
+def test_the_images_rule_and_the_time_is_in_the_covariance():
     """A jitter of 20 ms at the boat's own speed, P2 eq. 6: without it the normalised error is far off."""
     recorded = survey()
     exact = replace(recorded.images, sigma_t_s=np.zeros(len(recorded.images.images)))
@@ -197,7 +197,7 @@ def follow(
 
 
 @pytest.mark.parametrize("motion", ["velocity", "trajectory"])
-def test_constant_errors_of_the_ins_do_no_harm(motion: str) -> None:
+def test_constant_errors_of_the_ins_do_no_harm(motion):
     poses, states = perfect(np.arange(1.0, 9.0), heading_bias_rad=0.05, velocity_bias_mps=0.3)
     at = 3.0e8 + np.linspace(1.0, 8.0, 141)
     position, _, _, R = circle(at)
@@ -224,7 +224,7 @@ def quaternion(R: np.ndarray) -> np.ndarray:
     return Rotation.from_matrix(R).as_quat()
 
 
-def test_covariance_between_two_images_is_that_of_their_weighted_sum() -> None:
+def test_covariance_between_two_images_is_that_of_their_weighted_sum():
     poses, states = perfect(np.arange(1.0, 5.0))
     rng = np.random.default_rng(4)
     root = 1e-3 * rng.standard_normal((12, 12))
@@ -259,7 +259,7 @@ def test_covariance_between_two_images_is_that_of_their_weighted_sum() -> None:
     assert np.abs((got - expected) / scale).max() < 2e-3
 
 
-def test_chains_of_errors_are_the_covariance_of_each_pose_and_of_neighbours() -> None:
+def test_chains_of_errors_are_the_covariance_of_each_pose_and_of_neighbours():
     """Images with what they share, their times alone, one clock, and the INS between."""
     recorded = survey()
     found = run(recorded, BRIDGE)
@@ -289,7 +289,7 @@ def test_chains_of_errors_are_the_covariance_of_each_pose_and_of_neighbours() ->
 
 
 @pytest.mark.parametrize("share", [0.0, 0.3, 0.5])
-def test_growth_of_the_ins_errors_against_a_simulated_process(share: float) -> None:
+def test_growth_of_the_ins_errors_against_a_simulated_process(share):
     """Sums over the exact covariance of a finely sampled Gauss-Markov process."""
     time_s, gap, step = 3.0, 2.0, 0.002
     t = np.arange(0, gap + step / 2, step)
@@ -306,7 +306,7 @@ def test_growth_of_the_ins_errors_against_a_simulated_process(share: float) -> N
 
 
 @pytest.mark.parametrize("settings", [HALF, BRIDGE], ids=["half rotation", "bridge"])
-def test_errors_of_the_ins_grow_between_exact_images(settings: CloudSettings) -> None:
+def test_errors_of_the_ins_grow_between_exact_images(settings):
     poses, states = perfect(np.array([1.0, 2.0, 5.0]))
     poses = replace(poses, cov_pose_wcs=1e-12 * poses.cov_pose_wcs)
     found = follow(poses, states, settings).trajectory
@@ -326,7 +326,7 @@ def test_errors_of_the_ins_grow_between_exact_images(settings: CloudSettings) ->
 # ---------------------------------------------------------------- frames and gaps
 
 
-def test_a_frame_is_half_a_rotation_on_either_side_and_nothing_more() -> None:
+def test_a_frame_is_half_a_rotation_on_either_side_and_nothing_more():
     poses, states = perfect(np.arange(1.0, 9.0))
     found = follow(poses, states, HALF)
     t = poses.t_gps_s[:, None] + [-0.0502, -0.0499, 0.0, 0.0499, 0.0502, 0.3]
@@ -340,7 +340,7 @@ def test_a_frame_is_half_a_rotation_on_either_side_and_nothing_more() -> None:
     assert np.isin(poses.t_gps_s, found.trajectory.t_gps_s).all()
 
 
-def test_images_too_far_apart_are_not_bridged() -> None:
+def test_images_too_far_apart_are_not_bridged():
     poses, states = perfect(np.array([1.0, 2.0, 5.0, 6.0]))
     found = follow(poses, states, BRIDGE)
     inside = found.trajectory.at(3.0e8 + np.array([1.5, 2.04, 2.06, 3.5, 4.94, 4.96, 5.5]))[2]
@@ -351,7 +351,7 @@ def test_images_too_far_apart_are_not_bridged() -> None:
     assert found.facts["neighbours_not_joined"] == 1
 
 
-def test_a_hole_of_the_ins_ends_frames_and_bridges() -> None:
+def test_a_hole_of_the_ins_ends_frames_and_bridges():
     poses, states = perfect(np.array([1.0, 2.0, 3.0, 3.53, 5.0]))
     t = states["t_gps_s"].to_numpy() - 3.0e8
     holed = states[(t < 2.03) | (t > 3.5)]
@@ -364,7 +364,7 @@ def test_a_hole_of_the_ins_ends_frames_and_bridges() -> None:
     assert total == pytest.approx(found.facts["time_s"], abs=1e-6)
 
 
-def test_a_single_image_makes_one_frame() -> None:
+def test_a_single_image_makes_one_frame():
     poses, states = perfect(np.array([4.0]))
     found = follow(poses, states, BRIDGE)
     assert found.trajectory.at(3.0e8 + np.array([3.96, 4.04, 4.06]))[2].tolist() == [True, True, False]
@@ -374,7 +374,7 @@ def test_a_single_image_makes_one_frame() -> None:
 # ---------------------------------------------------------------- images that cannot be used
 
 
-def test_images_without_pose_or_time_and_twins_are_counted() -> None:
+def test_images_without_pose_or_time_and_twins_are_counted():
     poses, states = perfect(np.array([1.0, 2.0, 2.0, 3.0, 4.0, 20.0]))
     t = poses.t_gps_s.copy()
     t[3] = np.nan
@@ -387,7 +387,7 @@ def test_images_without_pose_or_time_and_twins_are_counted() -> None:
     assert found.facts["images_used"] == 2
 
 
-def test_the_order_of_the_table_does_not_matter() -> None:
+def test_the_order_of_the_table_does_not_matter():
     recorded = survey()
     poses = timed(recorded.images)
     back = np.arange(len(poses.images))[::-1]
@@ -400,7 +400,7 @@ def test_the_order_of_the_table_does_not_matter() -> None:
     assert np.allclose(one.cov_pose_wcs, other.cov_pose_wcs, rtol=1e-6, atol=1e-12)
 
 
-def test_common_errors_pass_through_an_image_without_time() -> None:
+def test_common_errors_pass_through_an_image_without_time():
     """Of three images the middle one has no time: the outer two are as alike as the chain says."""
     recorded = survey()
     poses = timed(recorded.images)
@@ -414,7 +414,7 @@ def test_common_errors_pass_through_an_image_without_time() -> None:
     assert middle[5, 5] == pytest.approx(poses.cov_pose_wcs[5, 5, 5] * (1 + keep**2) / 2, rel=1e-3)
 
 
-def test_a_wrong_pose_is_left_out_and_its_neighbours_stay() -> None:
+def test_a_wrong_pose_is_left_out_and_its_neighbours_stay():
     recorded = survey()
     poses = timed(recorded.images)
     centre = poses.centre_wcs_m.copy()
@@ -424,7 +424,7 @@ def test_a_wrong_pose_is_left_out_and_its_neighbours_stay() -> None:
     assert found.images["reason"][6] == CONTRADICTS
 
 
-def test_times_that_are_a_second_off_are_refused() -> None:
+def test_times_that_are_a_second_off_are_refused():
     spec = VoyageSpec(duration_s=30.0, twin={"boat": {"speed_mps": 2.4, "turn_rate_degps": 24.0}})
     recorded = make_survey(3, spec)
     poses = recorded.images
@@ -433,14 +433,14 @@ def test_times_that_are_a_second_off_are_refused() -> None:
         run(recorded, BRIDGE, poses=poses.with_times(poses.t_gps_s + 1.0, poses.sigma_t_s))
 
 
-def test_sigmas_that_are_too_small_are_named() -> None:
+def test_sigmas_that_are_too_small_are_named():
     recorded = survey(duration_s=30.0)
     found = run(recorded, BRIDGE, poses=replace(recorded.images, sigma_t_s=np.full(29, 1e-4)))
     assert any("times what their sigmas" in note for note in found.facts["notes"])
     assert not any("times what their sigmas" in note for note in run(recorded, BRIDGE).facts["notes"])
 
 
-def test_nothing_usable_is_an_error_with_both_spans() -> None:
+def test_nothing_usable_is_an_error_with_both_spans():
     poses, states = perfect(np.array([20.0, 21.0]))
     with pytest.raises(CoverageError, match=r"none of 2 images can be used.*the INS of"):
         follow(poses, states, HALF)
@@ -453,11 +453,11 @@ def test_nothing_usable_is_an_error_with_both_spans() -> None:
         follow(poses, states, HALF.replace(motion="trajectory"))
 
 
-def test_settings_are_those_of_the_campaign_file() -> None:
+def test_settings_are_those_of_the_campaign_file():
     assert CloudSettings.of(CameraCloud()) == CloudSettings()
 
 
-def test_the_mount_moves_the_boat_but_not_the_camera() -> None:
+def test_the_mount_moves_the_boat_but_not_the_camera():
     """The camera, put back through the mount, is where the images say: any mount drops out."""
     poses, states = perfect(np.arange(1.0, 9.0))
     other = CAMERA.moved([0.02, -0.01, 0.03, 0.01, -0.02, 0.015])
@@ -472,7 +472,7 @@ def test_the_mount_moves_the_boat_but_not_the_camera() -> None:
         assert np.allclose(camera.R, poses.R_wcs_ccs[3], atol=1e-9)
 
 
-def test_sigmas_of_poses_and_times_grow_with_the_mean_of_their_squares() -> None:
+def test_sigmas_of_poses_and_times_grow_with_the_mean_of_their_squares():
     """What all images share of their times stays as it is."""
     poses = timed(survey().images)
     poses = poses.with_times(poses.t_gps_s, np.full(len(poses.images), 0.05))
@@ -487,7 +487,7 @@ def test_sigmas_of_poses_and_times_grow_with_the_mean_of_their_squares() -> None
     np.testing.assert_allclose(scaled(poses, BRIDGE, 0.08).sigma_t_s, 0.05)  # all of it is shared
 
 
-def test_errors_of_positions_are_those_that_are_stated_beside_the_estimated_ones() -> None:
+def test_errors_of_positions_are_those_that_are_stated_beside_the_estimated_ones():
     model = FusionErrors(
         priors={"velocity": Prior(kind="size", centre=0.1, width=2.0)},
         h=np.array([0.7]), cov=np.array([[0.04]]),

@@ -10,7 +10,7 @@ from thalweg.navigation.camera.trajectory import CONTRADICTS, BoatImages
 from thalweg_lab.studies.outage import VoyageSpec, make_survey
 
 
-def test_the_limit_is_that_of_six_components(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_limit_is_that_of_six_components(monkeypatch):
     """22.458 is exceeded by 0.1 % of chi-squares of six degrees (Abramowitz and Stegun 1964, table 26.8)."""
     recorded = make_survey(1, VoyageSpec(duration_s=14.0))
     tests = {4: 22.4, 8: 22.5}

@@ -31,7 +31,7 @@ def largest_difference_rad(angle_rad: float) -> float:
 
 
 @pytest.mark.parametrize("angle_deg", [1.0, 5.0, 14.0, 30.0])
-def test_the_chord_differs_from_slerp_by_the_stated_bound(angle_deg: float) -> None:
+def test_the_chord_differs_from_slerp_by_the_stated_bound(angle_deg):
     """The bound ``a^3 / 124`` holds; to leading order the difference is half of it, ``sqrt(3) a^3 / 432``."""
     angle = np.deg2rad(angle_deg)
     difference = largest_difference_rad(angle)

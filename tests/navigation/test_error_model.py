@@ -2,7 +2,6 @@
 
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -79,7 +78,7 @@ def poses(heading_deg: ArrayF, sigma_position: ArrayF, sigma_attitude: ArrayF) -
 HEADINGS = np.linspace(0, 350, 40)
 
 
-def test_covariances_are_those_of_the_scaled_sigmas() -> None:
+def test_covariances_are_those_of_the_scaled_sigmas():
     """Slow part doubled, white noise halved: variance 0.75 * 4 + 0.25 / 4; tilt and heading by themselves."""
     found = model(position=2.0, white=0.5, roll_pitch=3.0, heading=0.5).apply(
         poses(HEADINGS, SIGMA_POSITION, SIGMA_ATTITUDE), LEVER
@@ -90,7 +89,7 @@ def test_covariances_are_those_of_the_scaled_sigmas() -> None:
     np.testing.assert_array_equal(found.position_wcs_m, expected.position_wcs_m)
 
 
-def test_what_is_not_known_enlarges_sigmas() -> None:
+def test_what_is_not_known_enlarges_sigmas():
     """E[f^2] of a lognormal factor with median 1 and sigma ln 2 is exp(2 ln(2)^2) = 2.614."""
     assert Estimate(value=1.0, sigma_log=np.log(2), prior=1.0, prior_sigma_log=np.log(2)).predictive ** 2 == (
         pytest.approx(2.614, abs=0.001)
@@ -101,7 +100,7 @@ def test_what_is_not_known_enlarges_sigmas() -> None:
     np.testing.assert_allclose(ratio, np.sqrt(2.614), rtol=1e-3)
 
 
-def test_presumed_values_change_nothing() -> None:
+def test_presumed_values_change_nothing():
     stated = poses(HEADINGS, SIGMA_POSITION, SIGMA_ATTITUDE)
     found = ErrorModel.presumed(PRIOR).apply(stated, LEVER)
     np.testing.assert_allclose(found.cov_pose_wcs, stated.cov_pose_wcs, rtol=1e-9, atol=1e-15)
@@ -118,7 +117,7 @@ def deviating(size: float) -> ErrorModel:
     )
 
 
-def test_a_significant_deviation_of_the_heading_is_taken_off_about_the_antenna() -> None:
+def test_a_significant_deviation_of_the_heading_is_taken_off_about_the_antenna():
     stated = poses(HEADINGS, SIGMA_POSITION, SIGMA_ATTITUDE)
     found = deviating(3.0).apply(stated, LEVER)
     h = np.deg2rad(HEADINGS)
@@ -135,13 +134,13 @@ def test_a_significant_deviation_of_the_heading_is_taken_off_about_the_antenna()
 
 
 @pytest.mark.parametrize(("size", "corrected"), [(1.65, False), (1.67, True)])
-def test_a_deviation_is_corrected_from_the_printed_limit_on(size: float, corrected: bool) -> None:
+def test_a_deviation_is_corrected_from_the_printed_limit_on(size, corrected):
     """Chi-square, two degrees, 0.1 %: 13.82 (Abramowitz and Stegun 26.8); 5 size^2 crosses it at 1.662."""
     assert chi2.ppf(0.999, 2) == pytest.approx(13.82, abs=0.005)
     assert deviating(size).deviation_is_significant is corrected
 
 
-def test_the_report_tells_survey_from_prior(tmp_path: Path) -> None:
+def test_the_report_tells_survey_from_prior(tmp_path):
     found = model(sigma_log=0.1, position=1.3, component=1.2)
     found.write(tmp_path / "error_model.json")
     report = json.loads((tmp_path / "error_model.json").read_text())
@@ -155,14 +154,14 @@ def test_the_report_tells_survey_from_prior(tmp_path: Path) -> None:
     assert unknown["white_share"] == pytest.approx(0.25)
 
 
-def test_the_report_states_the_deviation_in_degrees() -> None:
+def test_the_report_states_the_deviation_in_degrees():
     """A = 0.2, B = -0.1 degrees, each with a sigma of 0.1."""
     report = deviating(1.0).report()
     assert report["heading_deviation_deg"] == pytest.approx([0.2, -0.1])
     np.testing.assert_allclose(report["cov_heading_deviation_deg2"], np.diag([0.01, 0.01]), atol=1e-15)
 
 
-def test_prior_knowledge_by_hand() -> None:
+def test_prior_knowledge_by_hand():
     """A quarter of 0.02, 0.03, 0.05 m squared is white: half of them, and 0.866 of them is slow."""
     slow, white = PRIOR.sigmas()
     np.testing.assert_allclose(slow[:3], np.sqrt(0.75) * SIGMA_POSITION)
@@ -173,7 +172,7 @@ def test_prior_knowledge_by_hand() -> None:
     np.testing.assert_allclose(np.exp(spread), [2.0, 2.0, 2.0, 2.0, 3.0, 3.0])
 
 
-def test_models_that_are_not_estimated_by_hand() -> None:
+def test_models_that_are_not_estimated_by_hand():
     """The width of the prior, or none; sigmas of a single measurement may be wrong by a factor of 1.5."""
     width = np.log([2.0, 2.0, 2.0, 2.0, 3.0, 3.0, 1.5, 1.5])
     values = [1.0, 1.0, 1.0, 1.0, 10.0, 20.0, 1.0, 1.0]
@@ -197,7 +196,7 @@ def test_models_that_are_not_estimated_by_hand() -> None:
         assert found.report()["cov_heading_deviation_deg2"] is None
 
 
-def test_shares_and_factors_of_unequal_estimates_by_hand() -> None:
+def test_shares_and_factors_of_unequal_estimates_by_hand():
     """Slow errors tripled, white ones doubled, of 25 %: 0.75 * 9 + 0.25 * 4 = 7.75, of which 1 is white."""
     found = model(
         position=3.0, white=2.0, position_time_s=7.0, attitude_time_s=4.0, component=1.2, footprint=0.7
@@ -214,7 +213,7 @@ def test_shares_and_factors_of_unequal_estimates_by_hand() -> None:
     assert loose.white_share == pytest.approx(1 / 7.75)
 
 
-def test_a_corrected_heading_adds_the_variance_of_its_correction() -> None:
+def test_a_corrected_heading_adds_the_variance_of_its_correction():
     """Level poses at 0 and 90 degrees: sine and cosine have sigmas of 0.1 and 0.2 degrees."""
     unit = np.deg2rad(0.1)
     R = rotation_enu_body(np.zeros(2), np.zeros(2), np.deg2rad([0.0, 90.0]))
@@ -241,7 +240,7 @@ def test_a_corrected_heading_adds_the_variance_of_its_correction() -> None:
     np.testing.assert_allclose(antenna, np.tile(np.diag(SIGMA_POSITION**2), (2, 1, 1)), atol=1e-12)
 
 
-def test_the_prior_of_a_survey_has_its_sigmas_and_what_is_stated() -> None:
+def test_the_prior_of_a_survey_has_its_sigmas_and_what_is_stated():
     trajectory = poses(np.linspace(0, 300, 40), SIGMA_POSITION, SIGMA_ATTITUDE)
     stated = {
         "white_share": 0.3,
@@ -262,7 +261,7 @@ def test_the_prior_of_a_survey_has_its_sigmas_and_what_is_stated() -> None:
     np.testing.assert_allclose(np.exp(spread), [1.5, 1.5, 1.5, 1.5, 4, 4])
 
 
-def test_how_long_errors_last_comes_from_the_survey_unless_it_is_stated(tmp_path: Path) -> None:
+def test_how_long_errors_last_comes_from_the_survey_unless_it_is_stated(tmp_path):
     path = tmp_path / "error_model.json"
     model(position_time_s=7.0, attitude_time_s=31.0).write(path)
     found = PoseCorrelation.of_survey(path, receiver_s=0.2)

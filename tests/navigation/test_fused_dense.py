@@ -133,12 +133,12 @@ def dense(t: Task, settings: FusionSettings = SETTINGS):
 
 
 @pytest.fixture(autouse=True)
-def _nearer_start(monkeypatch: pytest.MonkeyPatch) -> None:
+def _nearer_start(monkeypatch):
     """A start known to 1 m: with 300 m the dense solution, not the smoother, loses the digits compared."""
     monkeypatch.setattr("thalweg.navigation.fusion.model.START_SIGMA_M", 1.0)
 
 
-def test_states_and_covariances_agree_with_the_dense_solution() -> None:
+def test_states_and_covariances_agree_with_the_dense_solution():
     t = task()
     assert {MODEL, RESET} <= set(t.nodes.kind.tolist())  # the hole is in it
     found = solved(t)
@@ -159,7 +159,7 @@ def test_states_and_covariances_agree_with_the_dense_solution() -> None:
     np.testing.assert_allclose(found.last, last, rtol=0, atol=1e-9)
 
 
-def test_errors_of_any_two_nodes_hang_together_as_in_the_dense_solution() -> None:
+def test_errors_of_any_two_nodes_hang_together_as_in_the_dense_solution():
     """As one Markov chain of all states, thinned; of the states of the pose alone it would not be one."""
     t = task()
     n = t.layout.n
@@ -190,7 +190,7 @@ def test_errors_of_any_two_nodes_hang_together_as_in_the_dense_solution() -> Non
     assert worst[1] > 0.05
 
 
-def test_squares_and_redundancies_of_groups_agree_with_the_dense_solution() -> None:
+def test_squares_and_redundancies_of_groups_agree_with_the_dense_solution():
     """``v^T P v`` and redundancy of a group by its own part of the covariance of all observations."""
     t = task()
     found = solved(t)
@@ -221,7 +221,7 @@ def test_squares_and_redundancies_of_groups_agree_with_the_dense_solution() -> N
 
 
 @pytest.mark.parametrize("velocity", [True, False])
-def test_between_nodes_the_pose_is_that_of_a_node_placed_there(velocity: bool) -> None:
+def test_between_nodes_the_pose_is_that_of_a_node_placed_there(velocity):
     """Adding nodes without observations changes nothing; the states between follow from both neighbours."""
     settings = SETTINGS.replace(use_ins_velocity=velocity)
     t = task(settings, hole=False)
@@ -239,7 +239,7 @@ def test_between_nodes_the_pose_is_that_of_a_node_placed_there(velocity: bool) -
     np.testing.assert_allclose(cov / scale, finer.cov / scale, atol=1e-7)
 
 
-def test_rows_are_the_derivatives_of_the_observations() -> None:
+def test_rows_are_the_derivatives_of_the_observations():
     """``y - H x`` is what the observation misses; differences of the states leave second order."""
     t = task(hole=False)
     at = t.reference.at(t.nodes.t_gps_s)

@@ -31,7 +31,7 @@ def fused(seed: int, attitude_s: float, gnss_s: float, white: float = 0.25) -> F
 
 
 @pytest.mark.parametrize(("attitude_s", "gnss_s"), [(1.0, 1.0), (20.0, 10.0), (3.0, 30.0)])
-def test_times_are_found_whatever_they_are(attitude_s: float, gnss_s: float) -> None:
+def test_times_are_found_whatever_they_are(attitude_s, gnss_s):
     """A survey holds the true times within its range of four sigmas, and short ones closely."""
     facts = fused(1, attitude_s, gnss_s).facts["errors"]
     for name, true in (("attitude_time_s", attitude_s), ("gnss_time_s", gnss_s)):
@@ -42,14 +42,14 @@ def test_times_are_found_whatever_they_are(attitude_s: float, gnss_s: float) -> 
 
 
 @pytest.mark.parametrize("white", [0.05, 0.6])
-def test_the_white_share_is_found(white: float) -> None:
+def test_the_white_share_is_found(white):
     facts = fused(1, 20.0, 10.0, white).facts["errors"]["gnss_white_share"]
     assert facts["low"] < white < facts["high"]
     assert facts["determined_by_survey"]
     assert facts["stated"] == 0.25
 
 
-def test_what_images_would_show_is_not_told_without_them_and_enlarges_the_sigmas() -> None:
+def test_what_images_would_show_is_not_told_without_them_and_enlarges_the_sigmas():
     survey = outage.make_survey(1, outage.VoyageSpec(duration_s=20.0))
     found = outage.fuse(survey, SETTINGS, with_images=False)
     presumed = outage.fuse(survey, SETTINGS.replace(estimate_errors=False), with_images=False)
@@ -64,7 +64,7 @@ def test_what_images_would_show_is_not_told_without_them_and_enlarges_the_sigmas
     assert 1.8 < more[0, 3, 3] < 3.6
 
 
-def test_fixed_values_stay_and_the_rest_is_estimated() -> None:
+def test_fixed_values_stay_and_the_rest_is_estimated():
     survey = outage.make_survey(1, outage.VoyageSpec(duration_s=20.0))
     found = outage.fuse(survey, SETTINGS.replace(fixed=("attitude_time_s", "gnss_white_share")))
     assert not {"attitude_time_s", "gnss_white"} & set(found.errors.priors)
@@ -73,7 +73,7 @@ def test_fixed_values_stay_and_the_rest_is_estimated() -> None:
     assert "gnss_time_s" in found.errors.priors
 
 
-def test_points_have_the_mean_and_the_covariance() -> None:
+def test_points_have_the_mean_and_the_covariance():
     about = model(a=Prior(kind="size", centre=1.0, width=2.0), b=Prior(kind="time", centre=9.0, width=3.0))
     about = replace(about, cov=np.array([[0.4, 0.3], [0.3, 0.9]]))
     points = np.array(list(about.points()))
@@ -82,7 +82,7 @@ def test_points_have_the_mean_and_the_covariance() -> None:
     assert np.cov(points.T, bias=True) == pytest.approx(about.cov)
 
 
-def test_the_mean_variance_of_an_unknown_size_is_that_of_a_logarithmic_normal() -> None:
+def test_the_mean_variance_of_an_unknown_size_is_that_of_a_logarithmic_normal():
     """``exp(2 s^2)``; points of eight values: to a tenth of it."""
     names = "abcdefgh"
     about = model(**{n: Prior(kind="size", centre=1.0, width=2.0) for n in names})
@@ -90,14 +90,14 @@ def test_the_mean_variance_of_an_unknown_size_is_that_of_a_logarithmic_normal() 
     assert np.mean(squares) == pytest.approx(np.exp(2 * np.log(2.0) ** 2), rel=0.1)
 
 
-def test_scales_of_priors_go_back() -> None:
+def test_scales_of_priors_go_back():
     for kind, value in (("size", 0.7), ("time", 12.0), ("share", 0.25)):
         prior = Prior(kind=kind, centre=value, width=2.0)
         assert prior.value(prior.at) == pytest.approx(value)
     assert Prior(kind="share", centre=0.5, width=2.0).value(np.log(3.0)) == pytest.approx(0.75)
 
 
-def test_slow_and_white_errors_of_positions_make_the_white_share() -> None:
+def test_slow_and_white_errors_of_positions_make_the_white_share():
     one = Prior(kind="size", centre=1.0, width=2.0)
     about = replace(model(gnss=one, gnss_white=one), h=np.log([2.0, 3.0]), white_share=0.25)
     share = about.facts()["gnss_white_share"]
@@ -110,7 +110,7 @@ def test_slow_and_white_errors_of_positions_make_the_white_share() -> None:
     assert factors["velocity"] == 1.0
 
 
-def test_a_campaign_file_says_auto_or_a_number_that_is_presumed() -> None:
+def test_a_campaign_file_says_auto_or_a_number_that_is_presumed():
     section = FusedSection.model_validate({"gnss_time_s": 3, "fixed": ["attitude_time_s"]})
     settings = FusionSettings.of(section)
     assert (settings.gnss_time_s, settings.attitude_time_s) == (3.0, 20.0)

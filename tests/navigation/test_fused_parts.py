@@ -10,7 +10,6 @@ from thalweg.images.model import ImagePoses
 from thalweg.navigation.fusion import (
     FusionSettings,
     Layout,
-    Reference,
     camera_of,
     fuse_trajectory,
     jumped_images,
@@ -39,12 +38,12 @@ SIGMA = np.deg2rad([0.1, 0.1, 0.2])
 
 
 @pytest.fixture(scope="module")
-def survey() -> outage.Recorded:
+def survey():
     return outage.make_survey(5, outage.VoyageSpec(duration_s=30.0))
 
 
 @pytest.fixture(scope="module")
-def reference(survey: outage.Recorded) -> Reference:
+def reference(survey):
     t = survey.states["t_gps_s"].to_numpy()
     return make_reference(
         survey.states,
@@ -64,7 +63,7 @@ def matrices(step_s: float, kind: int) -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.mark.parametrize("kind", [INS, MODEL])
 @pytest.mark.parametrize(("first_s", "second_s"), [(0.03, 0.07), (0.15, 0.1), (3.0, 40.0)])
-def test_two_steps_are_one_step(kind: int, first_s: float, second_s: float) -> None:
+def test_two_steps_are_one_step(kind, first_s, second_s):
     """Also across the border between series and closed form at 0.2 s."""
     (F, Q), (G, R) = matrices(first_s, kind), matrices(second_s, kind)
     H, S = matrices(first_s + second_s, kind)
@@ -73,7 +72,7 @@ def test_two_steps_are_one_step(kind: int, first_s: float, second_s: float) -> N
     np.testing.assert_allclose(G @ Q @ G.T + R, S, rtol=1e-7)
 
 
-def test_an_error_of_the_velocity_keeps_its_variance_and_grows_the_way() -> None:
+def test_an_error_of_the_velocity_keeps_its_variance_and_grows_the_way():
     F, Q = matrices(2.0, INS)
     assert F[1, 1] ** 2 * 0.05**2 + Q[1, 1] == pytest.approx(0.05**2)
     # way of a short step: sigma T
@@ -82,13 +81,13 @@ def test_an_error_of_the_velocity_keeps_its_variance_and_grows_the_way() -> None
     assert way == pytest.approx((0.05 * 0.1) ** 2, rel=0.01)
 
 
-def test_the_velocity_begins_again_behind_a_hole() -> None:
+def test_the_velocity_begins_again_behind_a_hole():
     row = pair_transition(np.zeros(1), np.array([RESET]), SETTINGS, ONES)[0]
     np.testing.assert_allclose(row, [0.0, 0.0, 0.0, 0.0, 0.05**2])
 
 
 @pytest.mark.parametrize("kind", ["antenna", "camera"])
-def test_derivatives_by_each_state(survey: outage.Recorded, reference: Reference, kind: str) -> None:
+def test_derivatives_by_each_state(survey, reference, kind):
     """What an observation misses changes by ``-H dx``, for each state on its own."""
     layout = Layout.of(gnss=True, camera=True)
     if kind == "antenna":
@@ -113,7 +112,7 @@ def test_derivatives_by_each_state(survey: outage.Recorded, reference: Reference
         np.testing.assert_allclose(change, -H[:, :, i], atol=1e-2 * np.abs(H[:, :, i]).max() + 1e-9)
 
 
-def test_image_poses_at_the_body_have_the_covariance_of_the_product(survey: outage.Recorded) -> None:
+def test_image_poses_at_the_body_have_the_covariance_of_the_product(survey):
     """With a lever arm of metres, so that the turn of the image moves the body."""
     mount = Rigid(
         R=survey.T_ccs_ics.R, shift_m=np.array([3.0, -2.0, 1.0]), cov=np.diag([1e-6] * 3 + [1e-7] * 3)
@@ -126,7 +125,7 @@ def test_image_poses_at_the_body_have_the_covariance_of_the_product(survey: outa
     np.testing.assert_allclose(own / scale, product.cov / scale, atol=1e-8)
 
 
-def test_a_chain_of_images_keeps_covariances_and_neighbours_covariances(survey: outage.Recorded) -> None:
+def test_a_chain_of_images_keeps_covariances_and_neighbours_covariances(survey):
     """Of an image in the chain and, over one that is left out, of the one behind it."""
     images = survey.images
     use = np.ones(len(images.images), dtype=bool)
@@ -140,7 +139,7 @@ def test_a_chain_of_images_keeps_covariances_and_neighbours_covariances(survey: 
         np.testing.assert_allclose(G @ G.T + W, np.eye(6), atol=1e-12)
 
 
-def test_far_from_the_origin_the_level_of_the_ins_is_turned(survey: outage.Recorded) -> None:
+def test_far_from_the_origin_the_level_of_the_ins_is_turned(survey):
     """1.4 km from the origin the verticals differ by 2.3e-4 rad; the older way knows it too."""
     alone = fuse_trajectory(
         survey.states,
@@ -170,7 +169,7 @@ def test_far_from_the_origin_the_level_of_the_ins_is_turned(survey: outage.Recor
     assert np.linalg.norm(alone.at(at)[0] - older.at(at)[0], axis=1).max() < 0.06
 
 
-def test_nodes_lie_at_observations_and_never_far_apart(reference: Reference) -> None:
+def test_nodes_lie_at_observations_and_never_far_apart(reference):
     t0 = reference.t_gps_s[0]
     antenna, image = t0 + np.array([1.0, 1.1, 9.0]), t0 + np.array([1.1, 5.0, 5.0])
     nodes, of_antenna, of_image = place_nodes(reference, SETTINGS, antenna, image)
@@ -182,7 +181,7 @@ def test_nodes_lie_at_observations_and_never_far_apart(reference: Reference) -> 
     assert nodes.t_gps_s[[0, -1]].tolist() == reference.t_gps_s[[0, -1]].tolist()
 
 
-def test_sound_observations_are_never_doubtful(survey: outage.Recorded, reference: Reference) -> None:
+def test_sound_observations_are_never_doubtful(survey, reference):
     antenna = antenna_of(survey.positions, outage.FRAME, outage.LEVER_ANTENNA_M, np.zeros(3))
     use = np.ones(len(survey.images.images), dtype=bool)
     camera = camera_of(survey.images, use, survey.T_ccs_ics, 0.016)
@@ -190,7 +189,7 @@ def test_sound_observations_are_never_doubtful(survey: outage.Recorded, referenc
     assert not jumped_images(camera, reference, SETTINGS).any()
 
 
-def test_jumps_at_the_ends_and_twice_are_found(survey: outage.Recorded, reference: Reference) -> None:
+def test_jumps_at_the_ends_and_twice_are_found(survey, reference):
     antenna = antenna_of(survey.positions, outage.FRAME, outage.LEVER_ANTENNA_M, np.zeros(3))
     off = np.zeros((len(antenna.t_gps_s), 3))
     off[:20, 0] = 0.4
@@ -202,7 +201,7 @@ def test_jumps_at_the_ends_and_twice_are_found(survey: outage.Recorded, referenc
     np.testing.assert_array_equal(found, off.any(axis=1))
 
 
-def test_times_of_images_count_once() -> None:
+def test_times_of_images_count_once():
     def poses(**told: object) -> ImagePoses:
         return ImagePoses(
             frame=LocalFrame(lat_deg=51.0, lon_deg=13.0, h_ell_m=100.0),

@@ -63,7 +63,7 @@ def rms(found: Fused, recorded: Recorded, at: np.ndarray | None = None) -> tuple
 
 
 @pytest.mark.parametrize("inputs", ["all", "positions", "images"])
-def test_normalised_errors_lie_in_their_band_over_ten_seeds(inputs: str) -> None:
+def test_normalised_errors_lie_in_their_band_over_ten_seeds(inputs):
     """One moment a seed: errors are independent. 10 x 6 squares have a band of 0.59 to 1.53 (99 %)."""
     settings = FusionSettings(heading_disturbance_deg=0.0, estimate_errors=inputs == "all")
     squares = []
@@ -77,7 +77,7 @@ def test_normalised_errors_lie_in_their_band_over_ten_seeds(inputs: str) -> None
     assert low < np.mean(squares) / 6 < high
 
 
-def test_the_clock_offset_and_the_mount_are_found_within_their_sigmas() -> None:
+def test_the_clock_offset_and_the_mount_are_found_within_their_sigmas():
     clock, turn = [], []
     for seed in range(1, 7):
         recorded = make_survey(seed, VoyageSpec(duration_s=20.0, sigma_clock_s=0.15))
@@ -92,7 +92,7 @@ def test_the_clock_offset_and_the_mount_are_found_within_their_sigmas() -> None:
     assert np.all(np.array(turn) <= 0.0205)
 
 
-def test_a_wrong_mount_is_found_with_its_sign() -> None:
+def test_a_wrong_mount_is_found_with_its_sign():
     """The mount on file is turned by 0.6 deg about its x and z axis: the correction turns it back."""
     recorded = survey()
     wrong = np.array([0.0, 0.0, 0.0, *np.deg2rad([0.6, 0.0, -0.6])])
@@ -106,7 +106,7 @@ def test_a_wrong_mount_is_found_with_its_sign() -> None:
 
 
 @pytest.mark.parametrize("estimated", [True, False])
-def test_chains_of_errors_are_the_covariance_of_the_poses(estimated: bool) -> None:
+def test_chains_of_errors_are_the_covariance_of_the_poses(estimated):
     """Also between two of them: the difference of two neighbours is far better known than each."""
     recorded = make_survey(3, VoyageSpec(duration_s=8.0))
     found = fuse(recorded, SETTINGS.replace(estimate_errors=estimated))
@@ -137,7 +137,7 @@ def test_chains_of_errors_are_the_covariance_of_the_poses(estimated: bool) -> No
     ],
     ids=["clean", "under trees", "heading disturbed", "few images", "weak images"],
 )
-def test_it_is_never_worse_than_the_better_chain(n: int, spec: dict) -> None:
+def test_it_is_never_worse_than_the_better_chain(n, spec):
     """RMS over n surveys that nobody chose, of errors that last for a third of a survey; by 5 % at most.
 
     Under trees by 12 %: 6 and 10 % of position, 1 and 4 % of attitude over seeds 61 to 63 and 64 to 66.
@@ -159,7 +159,7 @@ def test_it_is_never_worse_than_the_better_chain(n: int, spec: dict) -> None:
         assert both[1] < 0.1 * ins[1]
 
 
-def test_poses_of_images_are_moved_to_what_all_sensors_say() -> None:
+def test_poses_of_images_are_moved_to_what_all_sensors_say():
     """A block that is turned as a whole, as one on antenna positions alone is; with sigmas that hold."""
     spec = VoyageSpec(
         duration_s=25.0,
@@ -190,7 +190,7 @@ def test_poses_of_images_are_moved_to_what_all_sensors_say() -> None:
     assert alone.image_poses(recorded.images, alone.whole()) is recorded.images
 
 
-def test_an_outage_is_bridged_by_the_images_and_the_sigma_says_so() -> None:
+def test_an_outage_is_bridged_by_the_images_and_the_sigma_says_so():
     recorded = survey()
     t = recorded.positions["t_gps_s"].to_numpy() - recorded.motion.start_gps_s
     keep = (t < 10) | (t > 30)
@@ -205,7 +205,7 @@ def test_an_outage_is_bridged_by_the_images_and_the_sigma_says_so() -> None:
     assert alone.trajectory.sigma_position_m[middle].max() > SETTINGS.max_sigma_position_m
 
 
-def test_what_is_taken_for_known_of_the_start_is_next_to_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_taken_for_known_of_the_start_is_next_to_nothing(monkeypatch):
     """Twelve seconds without an observation at the begin: a start of kilometres must not cost digits."""
     recorded = survey()
     late = replace(recorded.images, oriented=np.arange(len(recorded.images.images)) > 10)
@@ -220,7 +220,7 @@ def test_what_is_taken_for_known_of_the_start_is_next_to_nothing(monkeypatch: py
     np.testing.assert_allclose(poses[0][2], poses[1][2], rtol=2e-5, atol=1e-9)
 
 
-def test_a_smoother_knows_the_begin_as_well_as_the_end() -> None:
+def test_a_smoother_knows_the_begin_as_well_as_the_end():
     sigma = whole().trajectory.sigma_position_m.max(axis=1)
     assert sigma[100] < 1.5 * sigma[-100]
 
@@ -229,7 +229,7 @@ def test_a_smoother_knows_the_begin_as_well_as_the_end() -> None:
 
 
 @pytest.mark.parametrize(("jump_m", "with_images"), [(0.3, True), (5.0, False)])
-def test_jumps_by_multipath_do_no_harm(jump_m: float, with_images: bool) -> None:
+def test_jumps_by_multipath_do_no_harm(jump_m, with_images):
     recorded = survey(2)
     positions = recorded.positions.copy()
     since = positions["t_gps_s"] - recorded.motion.start_gps_s
@@ -246,7 +246,7 @@ def test_jumps_by_multipath_do_no_harm(jump_m: float, with_images: bool) -> None
     assert found.facts["observations"]["position"]["rejected"] == int(jumped.sum())
 
 
-def test_single_wrong_positions_and_images_are_rejected_and_counted() -> None:
+def test_single_wrong_positions_and_images_are_rejected_and_counted():
     recorded = survey(2)
     positions = recorded.positions.copy()
     positions.loc[positions.index[50::70], "h_ell_m"] += 0.5
@@ -266,7 +266,7 @@ def test_single_wrong_positions_and_images_are_rejected_and_counted() -> None:
         assert counts["given"] == counts["used"] + counts["rejected"] + sum(counts["dropped"].values())
 
 
-def test_sigmas_stated_too_small_are_found() -> None:
+def test_sigmas_stated_too_small_are_found():
     recorded = survey()
     positions = recorded.positions.copy()
     positions[["sigma_east_m", "sigma_north_m", "sigma_up_m"]] /= 3
@@ -282,12 +282,12 @@ def test_sigmas_stated_too_small_are_found() -> None:
 # ---------------------------------------------------------------- missing and bad input
 
 
-def test_without_positions_and_images_it_says_what_is_missing() -> None:
+def test_without_positions_and_images_it_says_what_is_missing():
     with pytest.raises(InputError, match=r"no antenna positions; no image poses.*positions or oriented"):
         fuse(survey(), SETTINGS, with_positions=False, with_images=False)
 
 
-def test_inputs_that_cannot_enter_are_counted_in_the_refusal() -> None:
+def test_inputs_that_cannot_enter_are_counted_in_the_refusal():
     recorded = survey()
     untimed = recorded.images.with_times(
         np.full(len(recorded.images.images), np.nan), recorded.images.sigma_t_s
@@ -297,14 +297,14 @@ def test_inputs_that_cannot_enter_are_counted_in_the_refusal() -> None:
         fuse(replace(recorded, positions=single, images=untimed), SETTINGS)
 
 
-def test_streams_of_different_days_are_refused() -> None:
+def test_streams_of_different_days_are_refused():
     recorded = survey()
     later = recorded.positions.assign(t_gps_s=recorded.positions["t_gps_s"] + 86400.0)
     with pytest.raises(InputError, match="outside the INS"):
         fuse(replace(recorded, positions=later), SETTINGS, with_images=False)
 
 
-def test_images_of_another_frame_or_without_a_mount_are_refused() -> None:
+def test_images_of_another_frame_or_without_a_mount_are_refused():
     recorded = survey()
     away = replace(recorded.images, frame=LocalFrame(lat_deg=51.06, lon_deg=13.25, h_ell_m=300.0))
     with pytest.raises(InputError, match="world frame"):
@@ -320,7 +320,7 @@ def test_images_of_another_frame_or_without_a_mount_are_refused() -> None:
         )
 
 
-def test_positions_that_the_image_block_holds_are_not_counted_twice() -> None:
+def test_positions_that_the_image_block_holds_are_not_counted_twice():
     recorded = survey()
     t = recorded.positions["t_gps_s"].to_numpy()
     first, last = recorded.images.t_gps_s.min(), recorded.images.t_gps_s.max()
@@ -345,12 +345,12 @@ def test_positions_that_the_image_block_holds_are_not_counted_twice() -> None:
     assert (np.diag(again.poses(middle)[2][0])[:3] > np.diag(whole().poses(middle)[2][0])[:3]).all()
 
 
-def test_a_trajectory_that_is_good_enough_nowhere_is_refused() -> None:
+def test_a_trajectory_that_is_good_enough_nowhere_is_refused():
     with pytest.raises(CoverageError, match=r"at least 0\.\d+ m and .*Add what is missing: image poses"):
         fuse(survey(), SETTINGS.replace(max_sigma_position_m=0.001), with_images=False)
 
 
-def test_holes_of_the_ins_are_not_bridged_and_their_observations_counted() -> None:
+def test_holes_of_the_ins_are_not_bridged_and_their_observations_counted():
     recorded = survey()
     t = recorded.states["t_gps_s"] - recorded.motion.start_gps_s
     found = fuse(replace(recorded, states=recorded.states[(t < 15) | (t > 17)]), SETTINGS)
@@ -362,7 +362,7 @@ def test_holes_of_the_ins_are_not_bridged_and_their_observations_counted() -> No
     assert rms(found, recorded, recorded.motion.start_gps_s + np.array([14.5, 17.5]))[0] < 0.05
 
 
-def test_images_out_of_order_alone_or_without_a_pose_are_no_trouble() -> None:
+def test_images_out_of_order_alone_or_without_a_pose_are_no_trouble():
     recorded = survey()
     images = recorded.images
     back = np.arange(len(images.images))[::-1]
@@ -387,7 +387,7 @@ def test_images_out_of_order_alone_or_without_a_pose_are_no_trouble() -> None:
     assert rms(fuse(replace(recorded, images=alone), SETTINGS), recorded)[0] < 0.05
 
 
-def test_correlated_images_are_not_averaged_away() -> None:
+def test_correlated_images_are_not_averaged_away():
     """Images that all err alike give the sigma of one of them; independent ones of less than half."""
     # a good INS joins the images, so that the sigma shows how they are averaged
     recorded = make_survey(1, VoyageSpec(duration_s=40.0, twin={"ins": {"sigma_velocity_mps": 0.002}}))
@@ -409,7 +409,7 @@ def test_correlated_images_are_not_averaged_away() -> None:
 # ---------------------------------------------------------------- form
 
 
-def test_the_same_input_gives_the_same_bytes(tmp_path) -> None:
+def test_the_same_input_gives_the_same_bytes(tmp_path):
     again = fuse(make_survey(1, VoyageSpec(duration_s=40.0)), SETTINGS)
     whole().trajectory.write(tmp_path / "a.parquet")
     again.trajectory.write(tmp_path / "b.parquet")
@@ -418,7 +418,7 @@ def test_the_same_input_gives_the_same_bytes(tmp_path) -> None:
     np.testing.assert_array_equal(back.valid, whole().trajectory.valid)
 
 
-def test_facts_can_be_written_and_counts_are_a_table() -> None:
+def test_facts_can_be_written_and_counts_are_a_table():
     facts = json.loads(json.dumps(whole().facts))
     assert facts["settled"]
     table = count_table(facts)
@@ -426,7 +426,7 @@ def test_facts_can_be_written_and_counts_are_a_table() -> None:
     assert set(facts["groups"]) >= {"gnss", "velocity", "camera", "clock"}
 
 
-def test_poses_between_agree_with_the_trajectory_at_its_nodes() -> None:
+def test_poses_between_agree_with_the_trajectory_at_its_nodes():
     found = whole()
     t = found.trajectory.t_gps_s
     position, _, cov = found.poses(t[500:520])
@@ -435,11 +435,11 @@ def test_poses_between_agree_with_the_trajectory_at_its_nodes() -> None:
     assert np.all(np.linalg.eigvalsh(cov) > 0)
 
 
-def test_the_section_and_the_settings_have_the_same_names_and_defaults() -> None:
+def test_the_section_and_the_settings_have_the_same_names_and_defaults():
     assert FusionSettings.of(FusedSection()) == FusionSettings()
 
 
-def test_the_band_of_a_group_is_that_of_the_table() -> None:
+def test_the_band_of_a_group_is_that_of_the_table():
     """Ten degrees of freedom: 2.156 and 25.188 hold 99 % (Abramowitz and Stegun 1964, table 26.8)."""
     squares = dict.fromkeys(GROUPS, (25.0, 10.0)) | {GROUPS[0]: (25.4, 10.0), GROUPS[1]: (2.1, 10.0)}
     found = group_facts(SimpleNamespace(groups=squares, factors=dict.fromkeys(GROUPS, 1.5)))

@@ -30,7 +30,7 @@ def with_gap(seed: int, length_s: float) -> tuple[Fused, outage.Recorded, tuple[
 
 
 @pytest.mark.parametrize(("length_s", "variance"), [(10.0, 0.25), (60.0, 1.0)])
-def test_normalised_errors_hold_over_the_length_of_the_gap(length_s: float, variance: float) -> None:
+def test_normalised_errors_hold_over_the_length_of_the_gap(length_s, variance):
     """Middle of the gap, 8 seeds of three axes.
 
     Sigmas of short gaps are twice the errors: the walk of the steps, by heave, is more than a straight leg
@@ -45,7 +45,7 @@ def test_normalised_errors_hold_over_the_length_of_the_gap(length_s: float, vari
     assert low < np.mean(squares) < high
 
 
-def test_only_the_steps_of_the_gap_walk_more() -> None:
+def test_only_the_steps_of_the_gap_walk_more():
     found, _, (begin, end) = with_gap(1, 30.0)
     t, walk = found.nodes.t_gps_s, found.nodes.walk
     inside = (t > begin + 1e-6) & (t < end + 1e-6)
@@ -56,7 +56,7 @@ def test_only_the_steps_of_the_gap_walk_more() -> None:
     assert walk[inside, 2].max() == 1.0
 
 
-def test_the_velocity_of_the_ins_and_regular_images_need_none_of_it() -> None:
+def test_the_velocity_of_the_ins_and_regular_images_need_none_of_it():
     survey = outage.make_survey(1, outage.VoyageSpec(duration_s=30.0))
     assert (outage.fuse(survey, FusionSettings()).nodes.walk == 1.0).all()
     alone = outage.fuse(survey, SETTINGS, with_positions=False)

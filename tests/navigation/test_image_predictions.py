@@ -42,7 +42,7 @@ def stamps(*t: float) -> pd.DataFrame:
 MOUNT = Rigid(R=exp_rotation([0.1, -0.2, 0.3]), shift_m=np.array([0.5, -0.1, 0.2]))
 
 
-def test_pose_is_that_of_the_boat_at_the_corrected_time_times_the_mount() -> None:
+def test_pose_is_that_of_the_boat_at_the_corrected_time_times_the_mount():
     found = predict_image_poses(stamps(1008.0), clock(2.0), turning(), MOUNT)
     R = exp_rotation([0.0, 0.0, TURN_RADPS * 10.0])
     place = np.array([10.0, 10.0, 0.0]) * np.sqrt(2)
@@ -52,7 +52,7 @@ def test_pose_is_that_of_the_boat_at_the_corrected_time_times_the_mount() -> Non
     np.testing.assert_allclose(found.R_wcs_ccs[0], R @ MOUNT.R, atol=1e-9)
 
 
-def test_an_uncertain_time_counts_with_the_speed_of_the_boat() -> None:
+def test_an_uncertain_time_counts_with_the_speed_of_the_boat():
     still = Rigid(R=np.eye(3), shift_m=np.zeros(3))
     sharp = predict_image_poses(stamps(1010.0), clock(0.0), turning(), still).cov_pose_wcs[0]
     blurred = predict_image_poses(stamps(1010.0), clock(0.0, 0.1), turning(), still).cov_pose_wcs[0]
@@ -61,14 +61,14 @@ def test_an_uncertain_time_counts_with_the_speed_of_the_boat() -> None:
     np.testing.assert_allclose(blurred - sharp, 0.01 * np.outer(rate, rate), atol=1e-12)
 
 
-def test_images_without_stamp_or_trajectory_stay_in_the_table_and_say_why() -> None:
+def test_images_without_stamp_or_trajectory_stay_in_the_table_and_say_why():
     found = predict_image_poses(stamps(1005.0, np.nan, 2000.0), clock(0.0), turning(), MOUNT)
     assert found.oriented.tolist() == [True, False, False]
     assert found.reasons == ("", NO_STAMP, OUTSIDE)
     assert np.isnan(found.centre_wcs_m[1:]).all()
 
 
-def test_images_of_a_camera_that_is_not_on_the_boat_get_neither_pose_nor_time() -> None:
+def test_images_of_a_camera_that_is_not_on_the_boat_get_neither_pose_nor_time():
     table = stamps(1005.0, 1006.0, 1007.0).assign(file=["left/1.jpg", "bank/1.jpg", "bank/low/2.jpg"])
     found = predict_image_poses(table, clock(0.0), turning(), MOUNT, off_boat=["bank"])
     assert found.oriented.tolist() == [True, False, False]
@@ -76,7 +76,7 @@ def test_images_of_a_camera_that_is_not_on_the_boat_get_neither_pose_nor_time() 
     assert np.isfinite(found.t_gps_s).tolist() == [True, False, False]
 
 
-def test_a_gap_of_the_trajectory_gives_no_pose() -> None:
+def test_a_gap_of_the_trajectory_gives_no_pose():
     whole = turning()
     broken = replace(whole, valid=np.abs(whole.t_gps_s - 1010.0) > 1.0)
     assert predict_image_poses(stamps(1010.0, 1015.0), clock(0.0), broken, MOUNT).oriented.tolist() == [
@@ -85,21 +85,21 @@ def test_a_gap_of_the_trajectory_gives_no_pose() -> None:
     ]
 
 
-def test_a_clock_in_another_zone_is_named_with_both_spans() -> None:
+def test_a_clock_in_another_zone_is_named_with_both_spans():
     with pytest.raises(CoverageError, match=r"1 images .* none inside .* covers"):
         predict_image_poses(stamps(1010.0), clock(3600.0), turning(), MOUNT)
     with pytest.raises(CoverageError, match="none of 1 images has a time stamp"):
         predict_image_poses(stamps(np.nan), clock(0.0), turning(), MOUNT)
 
 
-def test_what_all_times_share_is_told_apart_from_jitter() -> None:
+def test_what_all_times_share_is_told_apart_from_jitter():
     shaky = replace(clock(0.0, 0.1), jitter_s=0.05)
     found = predict_image_poses(stamps(1005.0, np.nan, 1010.0), shaky, turning(), MOUNT)
     assert found.facts["sigma_common_s"] == pytest.approx(0.1)
     np.testing.assert_allclose(found.sigma_t_s[[0, 2]], np.hypot(0.1, 0.05))
 
 
-def test_a_clock_that_a_campaign_file_states() -> None:
+def test_a_clock_that_a_campaign_file_states():
     """Whole seconds are uncertain by their steps, too: 1 / sqrt(12)."""
     stated = StatedClock(offset_s=7.0, sigma_offset_s=0.5, jitter_s=0.4)
     table = stamps(1000.0, 1010.0, 1050.0, np.nan).assign(resolution_s=[0.5, 1.0, 1.0, 9.0])

@@ -63,7 +63,7 @@ def timed(recorded: Recorded, *, with_ins: bool = True, **more: object) -> Timed
     return time_images(given.pop("poses"), given.pop("stamps"), **{"track": track, "ins": ins, **given})
 
 
-def test_a_finished_trajectory_states_no_fix() -> None:
+def test_a_finished_trajectory_states_no_fix():
     """Epochs without a fix count only where no epoch has one: the sigmas of an SBET are what it states."""
     positions = survey().positions
     how = {"correlation_time_s": 10.0, "white_share": 0.25}
@@ -83,7 +83,7 @@ def exposures(recorded: Recorded) -> np.ndarray:
     return t + np.einsum("ni,ni->n", centre - place, v) / np.einsum("ni,ni->n", v, v)
 
 
-def test_the_clock_is_found_and_the_sigmas_hold_it() -> None:
+def test_the_clock_is_found_and_the_sigmas_hold_it():
     recorded = survey()
     found = timed(recorded)
     facts = found.facts
@@ -97,7 +97,7 @@ def test_the_clock_is_found_and_the_sigmas_hold_it() -> None:
     assert found.poses.facts["image_times"]["sigma_common_s"] < sigma.min()
 
 
-def test_estimated_times_are_better_and_say_where_they_are_from() -> None:
+def test_estimated_times_are_better_and_say_where_they_are_from():
     recorded = survey()
     by_clock, estimated = timed(recorded), timed(recorded, use="estimated")
     table = by_clock.table
@@ -111,7 +111,7 @@ def test_estimated_times_are_better_and_say_where_they_are_from() -> None:
 
 
 @pytest.mark.parametrize(("use", "least"), [("clock", 1.0), ("estimated", 0.88)])
-def test_the_trajectory_by_either_time_is_consistent(use: str, least: float) -> None:
+def test_the_trajectory_by_either_time_is_consistent(use, least):
     """15 seeds, 6 squares each: 99 % band 0.66 to 1.44. Estimated times and poses err against each other,
     which the covariance does not use: it may be too large, but by no more than a third.
     """
@@ -135,7 +135,7 @@ def test_the_trajectory_by_either_time_is_consistent(use: str, least: float) -> 
     assert least * low < np.mean(squares) / 6 < high
 
 
-def test_a_calibration_that_agrees_is_joined() -> None:
+def test_a_calibration_that_agrees_is_joined():
     recorded = survey()
     alone, both = timed(recorded), timed(recorded, clock=clock_of(recorded))
     assert both.facts["clock"] == "calibration and run"
@@ -149,7 +149,7 @@ def test_a_calibration_that_agrees_is_joined() -> None:
 
 
 @pytest.mark.parametrize("off_s", [1.0, 7200.0])
-def test_a_calibration_that_is_off_is_named_and_not_used(off_s: float) -> None:
+def test_a_calibration_that_is_off_is_named_and_not_used(off_s):
     recorded = survey()
     found = timed(recorded, clock=clock_of(recorded, off_s=-off_s))
     (note,) = found.facts["notes"]
@@ -160,7 +160,7 @@ def test_a_calibration_that_is_off_is_named_and_not_used(off_s: float) -> None:
     assert found.facts["clock"].startswith("run")
 
 
-def test_a_course_that_does_not_tell_the_time_falls_back_on_the_calibration() -> None:
+def test_a_course_that_does_not_tell_the_time_falls_back_on_the_calibration():
     """Constant speed, positions only, antenna not known: a shift of time is another place of the antenna."""
     recorded = survey()
     plain = {"with_ins": False, "options": OffsetOptions()}
@@ -178,7 +178,7 @@ def test_a_course_that_does_not_tell_the_time_falls_back_on_the_calibration() ->
     )
 
 
-def test_long_surveys_are_estimated_in_parts() -> None:
+def test_long_surveys_are_estimated_in_parts():
     recorded = survey(2, 50.0)
     whole, parts = timed(recorded), timed(recorded, images_together=20)
     assert parts.facts["run"]["parts"] == 3
@@ -192,7 +192,7 @@ def test_long_surveys_are_estimated_in_parts() -> None:
     )
 
 
-def test_images_without_stamp_or_pose_are_counted(tmp_path) -> None:
+def test_images_without_stamp_or_pose_are_counted(tmp_path):
     recorded = survey()
     poses: ImagePoses = replace(
         recorded.images,
@@ -216,7 +216,7 @@ def test_images_without_stamp_or_pose_are_counted(tmp_path) -> None:
     assert np.array_equal(again.t_gps_s, found.poses.t_gps_s, equal_nan=True)
 
 
-def test_stamps_of_other_images_are_refused() -> None:
+def test_stamps_of_other_images_are_refused():
     recorded = survey()
     with pytest.raises(ClockError, match="the names of the same files"):
         timed(recorded, stamps=stamps_of(recorded).assign(file="x.jpg"))
@@ -226,6 +226,6 @@ def test_stamps_of_other_images_are_refused() -> None:
     assert "Without positions" in found.facts["notes"][0]
 
 
-def test_defaults_of_the_section() -> None:
+def test_defaults_of_the_section():
     section = CameraCloud()
     assert (section.image_times, section.clock, section.frames) == ("clock", "both", "half_rotation")

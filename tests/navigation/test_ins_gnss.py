@@ -97,7 +97,7 @@ def build(positions: pd.DataFrame, states: pd.DataFrame, **changes):
 
 
 @pytest.mark.parametrize("far_m", [0.0, 1500.0])
-def test_the_motion_comes_back(far_m: float) -> None:
+def test_the_motion_comes_back(far_m):
     """1500 m from the origin the local vertical of the INS is tilted by 0.013 deg: must be taken off."""
     positions, states = survey(far_m)
     trajectory, summary = build(positions, states)
@@ -112,7 +112,7 @@ def test_the_motion_comes_back(far_m: float) -> None:
     assert use.mean() > 0.99
 
 
-def test_covariance_holds_position_and_lever_arm() -> None:
+def test_covariance_holds_position_and_lever_arm():
     positions, states = survey()
     trajectory, _ = build(positions, states)
     cov = trajectory.cov_pose_wcs[100, :3, :3]
@@ -129,14 +129,14 @@ def test_covariance_holds_position_and_lever_arm() -> None:
     np.testing.assert_allclose(trajectory.sigma_roll_pitch_heading_rad()[100], np.deg2rad([0.1, 0.1, 0.2]))
 
 
-def test_sigmas_of_the_log_win_over_the_configured_ones() -> None:
+def test_sigmas_of_the_log_win_over_the_configured_ones():
     positions, states = survey()
     states["sigma_heading_rad"] = 0.01
     trajectory, _ = build(positions, states)
     np.testing.assert_allclose(trajectory.sigma_roll_pitch_heading_rad()[:, 2], 0.01)
 
 
-def test_a_hole_in_the_positions_is_not_bridged() -> None:
+def test_a_hole_in_the_positions_is_not_bridged():
     positions, states = survey()
     s = positions["t_gps_s"] - T0
     trajectory, summary = build(positions[(s < 8.05) | (s > 10.05)], states)
@@ -147,7 +147,7 @@ def test_a_hole_in_the_positions_is_not_bridged() -> None:
     assert summary.gaps[0][1] == pytest.approx(2.1, abs=1e-6)
 
 
-def test_a_hole_in_the_attitudes_is_not_bridged() -> None:
+def test_a_hole_in_the_attitudes_is_not_bridged():
     positions, states = survey()
     s = states["t_gps_s"] - T0
     trajectory, summary = build(positions, states[(s < 5) | (s > 7)])
@@ -156,7 +156,7 @@ def test_a_hole_in_the_attitudes_is_not_bridged() -> None:
     assert summary.gaps[-1][1] == pytest.approx(2.04, abs=1e-6)
 
 
-def test_a_float_solution_enters_only_if_accepted() -> None:
+def test_a_float_solution_enters_only_if_accepted():
     positions, states = survey()
     positions.loc[positions.index[50:80], "fix"] = "float"
     strict, summary = build(positions, states)
@@ -176,7 +176,7 @@ def test_a_float_solution_enters_only_if_accepted() -> None:
         ((0, 60), 200),  # before the first fix
     ],
 )
-def test_auto_takes_float_positions_in_holes_of_fixed_ones(floats: tuple[int, int], used: int) -> None:
+def test_auto_takes_float_positions_in_holes_of_fixed_ones(floats, used):
     positions, states = survey()
     positions.loc[positions.index[slice(*floats)], "fix"] = "float"
     trajectory, summary = build(positions, states, accept_fixes="auto")
@@ -186,7 +186,7 @@ def test_auto_takes_float_positions_in_holes_of_fixed_ones(floats: tuple[int, in
     assert build(positions, states, accept_fixes="auto")[1].n_positions_used < used
 
 
-def test_bad_input_is_told_with_numbers() -> None:
+def test_bad_input_is_told_with_numbers():
     positions, states = survey()
     single = positions.assign(fix="single")
     with pytest.raises(InputError, match=r"0 usable positions of 200 \(fixes met: \{'single': 200\}\)"):
@@ -198,7 +198,7 @@ def test_bad_input_is_told_with_numbers() -> None:
             build(positions.assign(t_gps_s=positions["t_gps_s"] + hour), states)
 
 
-def test_an_ins_alone_gives_a_trajectory() -> None:
+def test_an_ins_alone_gives_a_trajectory():
     _, states = survey(1500.0)
     trajectory, _ = trajectory_from_states(
         states, FRAME, max_attitude_gap_s=0.2, sigma_attitude_rad=np.deg2rad([0.1, 0.1, 0.2])
@@ -209,7 +209,7 @@ def test_an_ins_alone_gives_a_trajectory() -> None:
     np.testing.assert_allclose(np.diag(trajectory.cov_pose_wcs[0])[:3], [0.25, 0.36, 1.0])
 
 
-def test_a_trajectory_survives_the_file(tmp_path) -> None:
+def test_a_trajectory_survives_the_file(tmp_path):
     positions, states = survey()
     trajectory, _ = build(positions, states)
     path = tmp_path / "trajectory.parquet"
@@ -222,7 +222,7 @@ def test_a_trajectory_survives_the_file(tmp_path) -> None:
     assert TRAJECTORY.field("sigma_up_m").metadata[b"unit"] == b"m"
 
 
-def test_states_from_before_the_filter_was_ready_are_left_out() -> None:
+def test_states_from_before_the_filter_was_ready_are_left_out():
     """A Spatial logs attitudes at once; before heading is initialised they are arbitrary."""
     positions, states = survey()
     states.loc[states.index[:300], "filter_status"] = np.uint16(0b1001)  # orientation and UTC, no heading
@@ -233,7 +233,7 @@ def test_states_from_before_the_filter_was_ready_are_left_out() -> None:
         build(positions, states.assign(filter_status=np.uint16(0b1000)))
 
 
-def test_a_rate_of_just_the_limit_is_no_row_of_gaps(rng: np.random.Generator) -> None:
+def test_a_rate_of_just_the_limit_is_no_row_of_gaps(rng):
     """Stamps of a 10 Hz INS scatter by microseconds: half of all steps are above a limit of 0.1 s."""
     positions, states = survey()
     slow = states.iloc[::5].copy()
@@ -243,13 +243,13 @@ def test_a_rate_of_just_the_limit_is_no_row_of_gaps(rng: np.random.Generator) ->
     assert trajectory.valid.mean() > 0.98
 
 
-def test_an_ins_slower_than_the_limit_is_told_the_key() -> None:
+def test_an_ins_slower_than_the_limit_is_told_the_key():
     positions, states = survey()
     with pytest.raises(InputError, match=r"come every 0\.2 s.*orientation\.max_attitude_gap_s = 0\.1 s"):
         build(positions, states.iloc[::10], max_attitude_gap_s=0.1)
 
 
-def test_states_without_position_or_sigma() -> None:
+def test_states_without_position_or_sigma():
     _, states = survey()
     options = {"max_attitude_gap_s": 0.2, "sigma_attitude_rad": np.deg2rad([0.1, 0.1, 0.2])}
     holey = states.copy()
@@ -271,7 +271,7 @@ def test_states_without_position_or_sigma() -> None:
         ({"h_ell_m": -45.0}, r"positions disagree.*-4[45]\.\d m in height"),  # heights above the geoid
     ],
 )
-def test_positions_that_contradict_the_ins_are_refused(change: dict[str, float], message: str) -> None:
+def test_positions_that_contradict_the_ins_are_refused(change, message):
     positions, states = survey()
     for name, value in change.items():
         positions[name] += value
@@ -279,7 +279,7 @@ def test_positions_that_contradict_the_ins_are_refused(change: dict[str, float],
         build(positions, states)
 
 
-def test_a_damaged_position_is_left_out() -> None:
+def test_a_damaged_position_is_left_out():
     positions, states = survey()
     positions.loc[positions.index[100], "lat_deg"] += 10.0
     trajectory, summary = build(positions, states)
@@ -288,13 +288,13 @@ def test_a_damaged_position_is_left_out() -> None:
     np.testing.assert_allclose(trajectory.position_wcs_m[trajectory.valid], position, atol=1e-3)
 
 
-def test_an_origin_on_another_river_is_refused() -> None:
+def test_an_origin_on_another_river_is_refused():
     positions, states = survey(far_m=161_000.0, duration_s=5.0)
     with pytest.raises(InputError, match=r"16\d km from the origin.*campaign\.origin"):
         build(positions, states)
 
 
-def test_velocities_of_the_ins_keep_what_sparse_epochs_miss() -> None:
+def test_velocities_of_the_ins_keep_what_sparse_epochs_miss():
     """At 1 Hz a spline cannot follow roll and heave; the INS's own velocity can."""
     positions, states = survey()
     sparse = positions.iloc[::10]
@@ -308,7 +308,7 @@ def test_velocities_of_the_ins_keep_what_sparse_epochs_miss() -> None:
     assert errors["ins_velocity"] < 0.2 * errors["cubic"], errors
 
 
-def test_each_covariance_of_a_position_finds_its_place() -> None:
+def test_each_covariance_of_a_position_finds_its_place():
     """Six different numbers by hand; lever arm and attitude without error leave nothing else."""
     positions, states = survey()
     positions[["sigma_east_m", "sigma_north_m", "sigma_up_m"]] = [0.02, 0.03, 0.04]
@@ -322,14 +322,14 @@ def test_each_covariance_of_a_position_finds_its_place() -> None:
     )
 
 
-def test_a_velocity_without_one_of_its_components_guides_no_position() -> None:
+def test_a_velocity_without_one_of_its_components_guides_no_position():
     positions, states = survey()
     states.loc[100:109, "v_down_mps"] = np.nan
     _, summary = build(positions, states, interpolation="ins_velocity")
     assert "10 INS states without a velocity guide no position" in summary.notes
 
 
-def test_states_within_the_first_or_last_interval_of_positions_are_enough() -> None:
+def test_states_within_the_first_or_last_interval_of_positions_are_enough():
     """Positions every 0.1 s; three states that end before the second, or begin behind the last but one."""
     positions, states = survey()
     s = states["t_gps_s"] - T0
@@ -339,7 +339,7 @@ def test_states_within_the_first_or_last_interval_of_positions_are_enough() -> N
         assert trajectory.valid.tolist() == [True] * 3
 
 
-def test_an_ins_alone_keeps_the_sigmas_that_it_states() -> None:
+def test_an_ins_alone_keeps_the_sigmas_that_it_states():
     """Roll is stated with 2 mrad; pitch and heading are not, and get the configured ones."""
     _, states = survey()
     trajectory, _ = trajectory_from_states(
@@ -351,7 +351,7 @@ def test_an_ins_alone_keeps_the_sigmas_that_it_states() -> None:
     np.testing.assert_allclose(trajectory.sigma_roll_pitch_heading_rad()[0], [2e-3, 4e-3, 5e-3])
 
 
-def test_a_state_without_one_of_its_sigmas_has_no_pose() -> None:
+def test_a_state_without_one_of_its_sigmas_has_no_pose():
     """Ten states lack the sigma of their height, the others are stated with 0.5, 0.6 and 1.0 m."""
     _, states = survey()
     states.loc[states.index[100:110], "sigma_up_m"] = np.nan
@@ -363,7 +363,7 @@ def test_a_state_without_one_of_its_sigmas_has_no_pose() -> None:
     np.testing.assert_allclose(np.diag(trajectory.cov_pose_wcs[99])[:3], [0.25, 0.36, 1.0], rtol=1e-4)
 
 
-def test_streams_that_meet_by_less_than_an_interval_overlap() -> None:
+def test_streams_that_meet_by_less_than_an_interval_overlap():
     """States at 19.895 s and later, the last position is at 19.9 s: one node has a pose; beyond it, none."""
     positions, states = survey(duration_s=22.0)
     positions = positions[positions["t_gps_s"] < T0 + 19.95]
@@ -374,7 +374,7 @@ def test_streams_that_meet_by_less_than_an_interval_overlap() -> None:
         build(positions, late.iloc[1:])
 
 
-def test_states_without_time_and_repeated_ones_are_counted() -> None:
+def test_states_without_time_and_repeated_ones_are_counted():
     positions, states = survey()
     _, summary = build(positions, states)
     assert not any("without GPS time or repeated" in note for note in summary.notes)
@@ -386,7 +386,7 @@ def test_states_without_time_and_repeated_ones_are_counted() -> None:
     ]
 
 
-def test_one_long_pause_does_not_make_an_ins_slow() -> None:
+def test_one_long_pause_does_not_make_an_ins_slow():
     """Ten states a second with a hole of 1000 s: the usual step counts, not the mean one."""
     t = np.concatenate([np.arange(50) / 10, 1000.0 + np.arange(50) / 10])
     states = pd.DataFrame(
@@ -397,7 +397,7 @@ def test_one_long_pause_does_not_make_an_ins_slow() -> None:
         usable_states(states, TrajectorySummary(), 0.05, 0)
 
 
-def test_four_positions_are_enough_and_three_are_not() -> None:
+def test_four_positions_are_enough_and_three_are_not():
     positions = pd.DataFrame(
         {
             "t_gps_s": np.arange(4.0),
@@ -411,7 +411,7 @@ def test_four_positions_are_enough_and_three_are_not() -> None:
         usable_positions(positions[:3], ["fixed"], TrajectorySummary())
 
 
-def test_single_places_far_away_make_no_survey_of_another_river() -> None:
+def test_single_places_far_away_make_no_survey_of_another_river():
     frame = LocalFrame(lat_deg=51.0, lon_deg=13.0, h_ell_m=100.0)
     places = np.zeros((9, 3))
     places[7:, 0] = 1e9

@@ -98,7 +98,7 @@ def squares(
 
 @pytest.mark.parametrize("scale", [1.0, 5.0], ids=["calm", "rough"])
 @pytest.mark.parametrize("rate_hz", [5.0, 10.0])
-def test_the_spline_is_as_good_as_it_says(rate_hz: float, scale: float) -> None:
+def test_the_spline_is_as_good_as_it_says(rate_hz, scale):
     """Two-sided: n = 360 an axis gives a band of 0.77 to 1.27."""
     found = squares(rate_hz, "cubic", scale=scale)
     low, high = band(len(found))
@@ -113,7 +113,7 @@ def test_the_spline_is_as_good_as_it_says(rate_hz: float, scale: float) -> None:
     [(1.0, 0.55), (5.0, 0.28)],
     ids=["calm", "rough"],
 )
-def test_the_spline_is_never_better_than_it_says_at_1_hz(scale: float, least: float) -> None:
+def test_the_spline_is_never_better_than_it_says_at_1_hz(scale, least):
     """Not above the band; too careful by a known amount: sigmas up to 1.3 (calm) or 1.9 times (rough)."""
     found = squares(1.0, "cubic", scale=scale)
     _, high = band(len(found))
@@ -123,7 +123,7 @@ def test_the_spline_is_never_better_than_it_says_at_1_hz(scale: float, least: fl
 
 
 @pytest.mark.parametrize("rate_hz", [1.0, 5.0, 10.0])
-def test_the_velocity_bridges_as_well_as_it_says(rate_hz: float) -> None:
+def test_the_velocity_bridges_as_well_as_it_says(rate_hz):
     """The worst correlation time is assumed, and the noise of two epochs averages: up to 15 % too careful."""
     found = squares(rate_hz, "velocity", scale=5.0)
     low, high = band(len(found))
@@ -132,13 +132,13 @@ def test_the_velocity_bridges_as_well_as_it_says(rate_hz: float) -> None:
     assert (mean < high).all(), mean
 
 
-def test_a_bridge_that_measures_its_own_error_is_careful() -> None:
+def test_a_bridge_that_measures_its_own_error_is_careful():
     mean = squares(1.0, "velocity", scale=5.0, sigma_velocity_mps=None).mean(axis=0)
     assert (mean < band(360)[1]).all(), mean
     assert (mean > 0.55).all(), mean
 
 
-def test_a_bridge_told_a_false_sigma_is_found_out() -> None:
+def test_a_bridge_told_a_false_sigma_is_found_out():
     """The check must be able to fail: velocities wrong by 0.03 m/s that are declared to be perfect."""
     t = np.arange(60.0)
     ratios = []
@@ -166,13 +166,13 @@ def test_a_bridge_told_a_false_sigma_is_found_out() -> None:
     assert wrong_sigma > 2 * high
 
 
-def test_motion_faster_than_the_epochs_is_found_out() -> None:
+def test_motion_faster_than_the_epochs_is_found_out():
     """15 cm at 2.25 Hz under 5 Hz epochs: above `MOTION_HZ` it passes for noise, and the sigmas are false."""
     found = squares(5.0, "cubic", motor_hz=2.25, seeds=20, at=np.full(6, 0.3))
     assert found.mean(axis=0)[2] > 2 * band(120)[1]
 
 
-def test_a_hole_that_is_bridged_costs_sigma() -> None:
+def test_a_hole_that_is_bridged_costs_sigma():
     """0.9 s without epochs in 10 Hz: what the spline does there is measured on epochs left out as widely."""
 
     def keep(t: np.ndarray) -> np.ndarray:
@@ -186,7 +186,7 @@ def test_a_hole_that_is_bridged_costs_sigma() -> None:
     assert (mean > 0.4).all(), mean
 
 
-def test_linear_covariance_is_too_large_by_the_averaging_of_white_noise_only() -> None:
+def test_linear_covariance_is_too_large_by_the_averaging_of_white_noise_only():
     """White noise alone: the spline's variance is 0.76 of the epochs' in the middle, 0.9 on average."""
     mean = squares(10.0, "cubic", white=1.0).mean(axis=0)
     low, high = band(360)
@@ -194,7 +194,7 @@ def test_linear_covariance_is_too_large_by_the_averaging_of_white_noise_only() -
     assert (mean < high).all()
 
 
-def test_the_first_and_the_last_interval_are_worse_and_say_so() -> None:
+def test_the_first_and_the_last_interval_are_worse_and_say_so():
     """15 times the error of the middle, for smooth motion; noise-free, so that only that counts."""
     t = np.arange(200) * 0.25
     x = np.column_stack([np.sin(t + p) for p in (0, 1, 2)])
@@ -209,7 +209,7 @@ def test_the_first_and_the_last_interval_are_worse_and_say_so() -> None:
     assert np.sqrt(np.mean(np.square(error[1:-1] / sigma[1:-1]))) == pytest.approx(1.0, abs=0.3)
 
 
-def test_the_order_of_smooth_motion_is_four() -> None:
+def test_the_order_of_smooth_motion_is_four():
     t = np.arange(2000) * 0.1
     x = np.column_stack([np.sin(2 * t + p) for p in (0, 1, 2)])
     found = interpolate_positions(t, x, np.tile(np.eye(3), (2000, 1, 1)), t[:10], max_gap_s=1.0)
@@ -222,7 +222,7 @@ def test_the_order_of_smooth_motion_is_four() -> None:
 # ---------------------------------------------------------------- exactness and coverage
 
 
-def test_a_cubic_comes_back_exactly() -> None:
+def test_a_cubic_comes_back_exactly():
     t = np.array([0.0, 0.1, 0.2, 0.35, 0.4, 0.5, 0.61])
     when = np.linspace(0, 0.61, 50)
 
@@ -236,7 +236,7 @@ def test_a_cubic_comes_back_exactly() -> None:
     np.testing.assert_allclose(found.velocity_mps, speed, atol=1e-10)
 
 
-def test_epochs_come_back_with_their_own_covariance() -> None:
+def test_epochs_come_back_with_their_own_covariance():
     rng = np.random.default_rng(1)
     t = T0 + np.arange(50) * 0.1
     half = rng.normal(size=(50, 3, 3))
@@ -249,7 +249,7 @@ def test_epochs_come_back_with_their_own_covariance() -> None:
     assert not found.sigma_interpolation_m.any()
 
 
-def test_covariance_is_the_linear_one_plus_the_interpolation_and_bounds_any_correlation() -> None:
+def test_covariance_is_the_linear_one_plus_the_interpolation_and_bounds_any_correlation():
     rng = np.random.default_rng(2)
     t = np.arange(40) * 0.1
     half = rng.normal(size=(40, 3, 3))
@@ -265,7 +265,7 @@ def test_covariance_is_the_linear_one_plus_the_interpolation_and_bounds_any_corr
         assert np.linalg.eigvalsh(linear - true).min() > -1e-12
 
 
-def test_nothing_across_holes_nothing_outside_nothing_in_silence() -> None:
+def test_nothing_across_holes_nothing_outside_nothing_in_silence():
     s = np.arange(100) * 0.1
     # hole of 2 s, then three epochs, then another hole
     use = (s < 3.05) | ((s > 5.05) & (s < 5.35)) | (s > 7.05)
@@ -282,7 +282,7 @@ def test_nothing_across_holes_nothing_outside_nothing_in_silence() -> None:
     assert [(round(a - T0, 3), n) for a, n in found.short_segments] == [(5.1, 3)]
 
 
-def test_the_other_side_of_a_hole_does_not_matter() -> None:
+def test_the_other_side_of_a_hole_does_not_matter():
     t = np.concatenate([np.arange(30) * 0.1, 10 + np.arange(30) * 0.1])
     x = np.random.default_rng(3).normal(size=(60, 3))
     when = np.linspace(0, 2.9, 40)
@@ -292,7 +292,7 @@ def test_the_other_side_of_a_hole_does_not_matter() -> None:
     np.testing.assert_array_equal(one.position_m, two.position_m)
 
 
-def test_a_step_of_just_the_limit_is_no_hole() -> None:
+def test_a_step_of_just_the_limit_is_no_hole():
     t = T0 + np.arange(20) * 0.1
     found = interpolate_positions(t, np.zeros((20, 3)), constant_cov(20), t + 1e-7, max_gap_s=0.1)
     assert found.gaps == []
@@ -300,21 +300,21 @@ def test_a_step_of_just_the_limit_is_no_hole() -> None:
 
 
 @pytest.mark.parametrize("n", [0, 1, 3])
-def test_too_few_epochs_cover_nothing(n: int) -> None:
+def test_too_few_epochs_cover_nothing(n):
     t = np.arange(float(n))
     found = interpolate_positions(t, np.zeros((n, 3)), constant_cov(n), np.array([0.5]), max_gap_s=2.0)
     assert not found.covered.any()
     assert found.short_segments == ([(0.0, n)] if n else [])
 
 
-def test_four_epochs_have_a_variance_from_second_differences() -> None:
+def test_four_epochs_have_a_variance_from_second_differences():
     x = np.outer([0.0, 1.0, 0.0, 1.0], [1.0, 2.0, 3.0])
     found = interpolate_positions(np.arange(4.0), x, constant_cov(4), np.array([1.5]), max_gap_s=2.0)
     # second differences -2 and 2: mean square 4, over 64
     np.testing.assert_allclose(found.sigma_interpolation_m[0], 0.25 * np.array([1, 2, 3]))
 
 
-def test_times_may_come_in_any_order() -> None:
+def test_times_may_come_in_any_order():
     rng = np.random.default_rng(4)
     t = np.arange(100) * 0.1
     x = rng.normal(size=(100, 3))
@@ -338,7 +338,7 @@ def test_times_may_come_in_any_order() -> None:
         ({"at_s": np.zeros((2, 2))}, "times"),
     ],
 )
-def test_bad_arguments_are_refused(change: dict, words: str) -> None:
+def test_bad_arguments_are_refused(change, words):
     good = {
         "epochs_s": np.arange(4.0),
         "position_m": np.zeros((4, 3)),
@@ -359,7 +359,7 @@ def bridged(t, z, when, t_ins, v, **more):
     )
 
 
-def test_motion_between_epochs_comes_from_the_velocity_and_the_turning_lever() -> None:
+def test_motion_between_epochs_comes_from_the_velocity_and_the_turning_lever():
     """Epochs each second, roll of 2 s: the antenna is where velocity and lever arm say, a spline is not."""
     t_ins = np.arange(1001) / 50.0
     t, when = np.arange(21.0), np.linspace(0, 20, 333)
@@ -383,7 +383,7 @@ def test_motion_between_epochs_comes_from_the_velocity_and_the_turning_lever() -
     assert np.nanmax(np.abs(cubic.position_m - body - lever)) > 0.3
 
 
-def test_the_variance_of_a_bridge_is_that_of_an_integrated_gauss_markov_process() -> None:
+def test_the_variance_of_a_bridge_is_that_of_an_integrated_gauss_markov_process():
     for interval, time in ((1.0, 0.2), (0.1, 5.0), (3.0, 0.01)):
 
         def covariance(a: float, b: float, time: float = time) -> float:
@@ -403,7 +403,7 @@ def test_the_variance_of_a_bridge_is_that_of_an_integrated_gauss_markov_process(
     )
 
 
-def test_intervals_without_velocity_are_gaps() -> None:
+def test_intervals_without_velocity_are_gaps():
     t_ins = np.arange(1001) / 50.0
     keep = (t_ins < 5.2) | (t_ins > 5.8)
     t = np.arange(-1.0, 21.0)
@@ -414,7 +414,7 @@ def test_intervals_without_velocity_are_gaps() -> None:
     assert found.short_segments == [(-1.0, 1)]
 
 
-def test_without_sigma_and_epochs_the_velocity_cannot_be_judged() -> None:
+def test_without_sigma_and_epochs_the_velocity_cannot_be_judged():
     t_ins = np.arange(100) / 50.0
     with pytest.raises(CoverageError, match="Give sigma_velocity_mps"):
         bridged(
@@ -430,7 +430,7 @@ def test_without_sigma_and_epochs_the_velocity_cannot_be_judged() -> None:
 # ---------------------------------------------------------------- noise
 
 
-def test_noise_is_measured_above_the_motion_of_a_boat() -> None:
+def test_noise_is_measured_above_the_motion_of_a_boat():
     rng = np.random.default_rng(5)
     t = np.arange(6000) * 0.1
     x, _ = motion(rng, t, scale=5.0)
@@ -440,7 +440,7 @@ def test_noise_is_measured_above_the_motion_of_a_boat() -> None:
     assert not white_noise_m2(np.arange(600.0), x[:600], [slice(0, 600)], 1.0).any()
 
 
-def test_noise_gains_are_those_of_the_weights() -> None:
+def test_noise_gains_are_those_of_the_weights():
     for method, n in ((CUBIC, 41), (LINEAR, 4)):
         knots = np.arange(float(n))
         weights = [
@@ -449,7 +449,7 @@ def test_noise_gains_are_those_of_the_weights() -> None:
         assert np.sum(np.square(weights)) == pytest.approx(method.noise_gain, abs=1e-4)
 
 
-def test_the_shape_of_the_error_is_that_of_the_fourth_bernoulli_polynomial() -> None:
+def test_the_shape_of_the_error_is_that_of_the_fourth_bernoulli_polynomial():
     """Mean square over an interval: 16 u^2 (1 - u)^2 integrates to 16/30 of the variance in the middle."""
     t = np.arange(400) * 0.1
     x = np.random.default_rng(6).normal(size=(400, 3))
@@ -460,7 +460,7 @@ def test_the_shape_of_the_error_is_that_of_the_fourth_bernoulli_polynomial() -> 
     assert np.mean(variance) / variance.max() == pytest.approx(expected, rel=2e-3)
 
 
-def test_the_velocity_is_that_of_the_moment_from_the_first_interval_on() -> None:
+def test_the_velocity_is_that_of_the_moment_from_the_first_interval_on():
     """1 m/s^2 from rest: 0.1 m/s after 0.1 s, within the first interval of the velocities."""
     t, t_ins = np.arange(5.0), np.arange(41) / 10.0
     ahead = np.array([1.0, 0.0, 0.0])
@@ -468,13 +468,13 @@ def test_the_velocity_is_that_of_the_moment_from_the_first_interval_on() -> None
     np.testing.assert_allclose(found.velocity_mps[:, 0], [0.05, 2.05], atol=1e-9)
 
 
-def test_three_velocities_are_too_few_for_a_spline() -> None:
+def test_three_velocities_are_too_few_for_a_spline():
     t = np.arange(3.0)
     found = bridged(t, np.zeros((3, 3)), np.array([0.5]), t, np.zeros((3, 3)), max_velocity_gap_s=2.0)
     assert not found.covered.any()
 
 
-def test_what_lies_still_has_no_order() -> None:
+def test_what_lies_still_has_no_order():
     """East swings, north and up lie still: nothing is missed there, at any spacing."""
     t = np.arange(400) * 0.1
     x = np.column_stack([np.sin(2 * t), np.zeros(400), np.zeros(400)])
@@ -485,7 +485,7 @@ def test_what_lies_still_has_no_order() -> None:
     np.testing.assert_array_equal(found.error.variances_m2[:, 1:], 0.0)
 
 
-def test_what_linear_interpolation_misses_of_a_parabola() -> None:
+def test_what_linear_interpolation_misses_of_a_parabola():
     """Second differences of 8 t^2 / 2 are 8: half-way between epochs a line is off by an eighth of that."""
     t = np.arange(7.0)
     values = np.column_stack([4 * t**2, 0 * t, 8 * t**2])

@@ -16,8 +16,8 @@ PLACES = [(51.05, 13.25), (51.06, 13.29), (51.03, 13.19), (51.05, 13.40)]
 @pytest.mark.parametrize(("lat_deg", "lon_deg"), PLACES)
 @pytest.mark.parametrize("heading_deg", [0.0, 77.0, 200.0, 341.0])
 def test_a_true_heading_becomes_a_grid_bearing_by_the_convergence_where_the_boat_is(
-    lat_deg: float, lon_deg: float, heading_deg: float
-) -> None:
+    lat_deg, lon_deg, heading_deg
+):
     heading = np.deg2rad(heading_deg)
     h_ell_m = 105.0
     boat = FRAME.from_geodetic([lat_deg], [lon_deg], [h_ell_m])[0]
@@ -41,7 +41,7 @@ def test_a_true_heading_becomes_a_grid_bearing_by_the_convergence_where_the_boat
 
 
 @pytest.mark.parametrize(("lat_deg", "lon_deg"), PLACES)
-def test_heights_of_the_export_are_those_above_the_ellipsoid(lat_deg: float, lon_deg: float) -> None:
+def test_heights_of_the_export_are_those_above_the_ellipsoid(lat_deg, lon_deg):
     """Also far from the origin, where z of the tangent plane is 8 m lower at 10 km."""
     boat = FRAME.from_geodetic([lat_deg], [lon_deg], [105.125])
     # 1e-6 m: the topocentric transformation and back
@@ -51,7 +51,7 @@ def test_heights_of_the_export_are_those_above_the_ellipsoid(lat_deg: float, lon
     assert down_m == pytest.approx(-(distance_m**2) / 2 / 6.38e6, abs=0.02)
 
 
-def test_names_of_heights_say_their_system() -> None:
+def test_names_of_heights_say_their_system():
     for kind in (GNSS_POSITION, INS_STATE):
         heights = [name for name in kind.names if name.startswith("h_")]
         assert heights == ["h_ell_m"]

@@ -16,7 +16,6 @@ from thalweg.images.bundle import Boat, Problem, adjust_campaign
 from thalweg.images.bundle.job import mark_rows
 from thalweg.images.model import ImagePoses
 from thalweg.navigation.camera import CloudSettings, antenna_in_camera, camera_trajectory, time_images
-from thalweg.navigation.camera.image_times import TimedImages
 from thalweg.navigation.fusion import FusionSettings
 from thalweg.settings.sections import BlockAdjustment, ControlSettings, Rig as RigSettings
 from thalweg_lab.dual_fisheye import true_rig
@@ -25,7 +24,6 @@ from thalweg_lab.studies.outage import (
     CAMERA,
     FRAME,
     LEVER_ANTENNA_M,
-    Recorded,
     VoyageSpec,
     errors_at,
     fuse,
@@ -73,7 +71,7 @@ def adjusted(problem: Problem, predicted: ImagePoses, rig: Rig, **more: Any) -> 
 
 
 @pytest.fixture(scope="module")
-def block() -> tuple[Recorded, Problem, ImagePoses, Rig]:
+def block():
     """A voyage of 17 s, a rig at the mount of the camera whose clock is off, its images, and predictions."""
     spec = VoyageSpec(
         duration_s=17.0, sigma_clock_s=0.2, jitter_s=JITTER_S, sigma_mount_m=0.0, sigma_mount_deg=0.0
@@ -94,7 +92,7 @@ def block() -> tuple[Recorded, Problem, ImagePoses, Rig]:
 
 
 @pytest.fixture(scope="module")
-def survey(block: tuple, tmp_path_factory: pytest.TempPathFactory) -> tuple[Recorded, TimedImages]:
+def survey(block, tmp_path_factory):
     """The block by control points, and its exposures with times."""
     recorded, problem, predicted, rig = block
     folder = tmp_path_factory.mktemp("control")
@@ -123,7 +121,7 @@ def survey(block: tuple, tmp_path_factory: pytest.TempPathFactory) -> tuple[Reco
     return recorded, timed
 
 
-def test_both_lenses_share_the_clock(block: tuple) -> None:
+def test_both_lenses_share_the_clock(block):
     """One position and one error of the clock for an exposure, not for each of its images."""
     recorded, problem, predicted, rig = block
     boat = Boat(
@@ -142,7 +140,7 @@ def test_both_lenses_share_the_clock(block: tuple) -> None:
     assert late["sigma"] < 0.05
 
 
-def test_the_rig_is_synchronised_like_any_camera(survey: tuple) -> None:
+def test_the_rig_is_synchronised_like_any_camera(survey):
     recorded, timed = survey
     assert timed.facts["clock"] == "run"
     assert abs(timed.clock.offset_s - recorded.clock_s) < 3 * timed.clock.sigma_offset_s
@@ -150,7 +148,7 @@ def test_the_rig_is_synchronised_like_any_camera(survey: tuple) -> None:
     assert abs(recorded.clock_s) > 10 * timed.clock.sigma_offset_s
 
 
-def test_the_camera_trajectory_is_that_of_the_boat(survey: tuple) -> None:
+def test_the_camera_trajectory_is_that_of_the_boat(survey):
     recorded, timed = survey
     found = camera_trajectory(
         timed.poses,
@@ -170,7 +168,7 @@ def test_the_camera_trajectory_is_that_of_the_boat(survey: tuple) -> None:
     assert np.linalg.norm(error[:, :3], axis=1).max() < 0.1
 
 
-def test_the_smoother_takes_exposures_of_a_rig(survey: tuple) -> None:
+def test_the_smoother_takes_exposures_of_a_rig(survey):
     recorded, timed = survey
     with_rig = fuse(replace(recorded, images=timed.poses), FusionSettings())
     without = fuse(recorded, FusionSettings(), with_images=False)

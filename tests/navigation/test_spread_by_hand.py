@@ -22,7 +22,7 @@ class Solved:
     last: np.ndarray
 
 
-def test_covariances_count_the_mean_of_all_and_their_scatter(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_covariances_count_the_mean_of_all_and_their_scatter(monkeypatch):
     """Cov = E[cov] + E[d d'], also between neighbours and of the last state; the states stay."""
     rng = np.random.default_rng(4)
     best = Solved(rng.normal(size=(2, 3)), np.zeros((2, 2, 2)), np.zeros((2, 2, 2)), np.zeros((3, 3)))
@@ -63,7 +63,7 @@ def exact_noise(T: float, rate: float, density: float) -> tuple[np.ndarray, np.n
 
 
 @pytest.mark.parametrize("T", [0.001, 0.05, 0.3, 4.0, 60.0])
-def test_the_noise_of_a_step_is_that_of_the_process(T: float) -> None:
+def test_the_noise_of_a_step_is_that_of_the_process(T):
     """Along the INS an integrated Gauss-Markov process, without it a random walk of the velocity."""
     settings = FusionSettings(velocity_time_s=3.0, sigma_velocity_mps=0.05, sigma_acceleration=0.4)
     factors = dict.fromkeys(GROUPS, 1.0) | {"velocity": 2.0, "acceleration": 0.5}

@@ -69,20 +69,20 @@ def inside_band(squares: np.ndarray, level: float = 0.999) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def consistent(tmp_path_factory: pytest.TempPathFactory) -> tuple[np.ndarray, np.ndarray]:
+def consistent(tmp_path_factory):
     return study(tmp_path_factory.mktemp("consistent"))
 
 
-def test_positions_are_as_good_as_they_say(consistent) -> None:
+def test_positions_are_as_good_as_they_say(consistent):
     assert inside_band(consistent[0]).all(), consistent[0].mean(axis=0)
 
 
-def test_attitudes_are_as_good_as_they_say(consistent) -> None:
+def test_attitudes_are_as_good_as_they_say(consistent):
     # roll and pitch of the boat are below 2 deg, so that body axes and those of the sigmas coincide to 0.1 %
     assert inside_band(consistent[1]).all(), consistent[1].mean(axis=0)
 
 
-def test_the_check_fails_for_an_effect_that_the_model_does_not_know(tmp_path: Path) -> None:
+def test_the_check_fails_for_an_effect_that_the_model_does_not_know(tmp_path):
     """A heading that drifts by 3 deg/min is no part of the stated sigma: the band must be left."""
     _, attitude = study(tmp_path, ins={"attitude_time_s": 0.5, "heading_drift_degpmin": 3.0})
     within = inside_band(attitude)

@@ -34,7 +34,7 @@ def turned(a_rad: np.ndarray, b_rad: float) -> np.ndarray:
 
 
 @pytest.mark.parametrize("course_deg", [0.0, 40.0, 135.0, 200.0, 359.5])
-def test_the_heading_is_the_course(course_deg: float) -> None:
+def test_the_heading_is_the_course(course_deg):
     states = states_along_course(
         positions(straight(20, course_deg), 1e-4), FRAME, sigma_course_deg=10.0, **HOW
     )
@@ -43,7 +43,7 @@ def test_the_heading_is_the_course(course_deg: float) -> None:
     assert (states[["roll_rad", "pitch_rad"]] == 0).all(axis=None)
 
 
-def test_errors_of_positions_turn_the_course_as_predicted() -> None:
+def test_errors_of_positions_turn_the_course_as_predicted():
     rng = np.random.default_rng(5)
     n, sigma_m = 4000, 0.2
     noisy = straight(n, 70.0) + sigma_m * rng.standard_normal((n, 3))
@@ -54,17 +54,17 @@ def test_errors_of_positions_turn_the_course_as_predicted() -> None:
     assert 0.9 < square < 1.1
 
 
-def test_a_boat_that_stands_has_any_heading() -> None:
+def test_a_boat_that_stands_has_any_heading():
     states = states_along_course(positions(np.zeros((10, 3)), 0.5), FRAME, sigma_course_deg=10.0, **HOW)
     assert states["sigma_heading_rad"].to_numpy() == pytest.approx(np.pi / np.sqrt(3))
 
 
-def test_positions_that_are_too_rare_are_refused() -> None:
+def test_positions_that_are_too_rare_are_refused():
     with pytest.raises(InputError, match=r"positions come every 2 s.*max_gap_s = 1.5"):
         states_along_course(positions(straight(9, 10.0), 0.1, 2.0), FRAME, sigma_course_deg=10.0, **HOW)
 
 
-def test_an_uncertain_attitude_enters_the_sigma_of_the_boat() -> None:
+def test_an_uncertain_attitude_enters_the_sigma_of_the_boat():
     """A lever arm of 2 m below the antenna swings by 3 degrees: 10 cm on top of 1 cm of the antenna."""
     measured = positions(straight(30, 0.0), 0.01)
     states = states_along_course(measured, FRAME, sigma_course_deg=10.0, **HOW)
@@ -83,7 +83,7 @@ def test_an_uncertain_attitude_enters_the_sigma_of_the_boat() -> None:
     assert found.sigma_position_m[15] == pytest.approx([0.1052, 0.1052, 0.01], rel=0.02)
 
 
-def test_what_a_log_does_not_state_is_stated() -> None:
+def test_what_a_log_does_not_state_is_stated():
     bare = positions(straight(6, 0.0), np.nan).assign(h_ell_m=np.nan)
     found = with_stated(bare, sigma_position_m=(1.0, 2.0, 3.0), antenna_h_ell_m=120.0)
     assert (found["h_ell_m"] == 120.0).all()

@@ -9,7 +9,7 @@ from scipy.optimize import brentq
 from thalweg.calibration import Rig
 from thalweg.core import Camera, Rigid
 from thalweg.panorama import compose, reading_that_fits, sphere_rays
-from thalweg.panorama.compose import Composed, lens_pixels
+from thalweg.panorama.compose import lens_pixels
 from thalweg.settings.sections import Rig as RigSettings
 
 compose_module = importlib.import_module("thalweg.panorama.compose")
@@ -96,12 +96,12 @@ def seam_offset_px(range_m: float, taken_m: float) -> float:
 
 
 @pytest.mark.parametrize(("range_m", "cost_px"), [(1.0, 16.6), (2.0, 8.3), (5.0, 3.3), (10.0, 1.7)])
-def test_what_the_base_costs_where_everything_is_taken_to_be_far(range_m: float, cost_px: float) -> None:
+def test_what_the_base_costs_where_everything_is_taken_to_be_far(range_m, cost_px):
     assert seam_offset_px(range_m, np.inf) == pytest.approx(cost_px, abs=0.05)
     assert seam_offset_px(range_m, np.inf) == pytest.approx(BASE_M / range_m * FINE / (2 * np.pi), rel=0.002)
 
 
-def test_one_range_for_all_is_right_there_alone_and_the_true_range_everywhere() -> None:
+def test_one_range_for_all_is_right_there_alone_and_the_true_range_everywhere():
     # a sphere of 8 m leaves base (1/d - 1/8)
     left = BASE_M * (1 / 2 - 1 / 8) * FINE / (2 * np.pi)
     assert seam_offset_px(2.0, 8.0) == pytest.approx(left, rel=0.002)
@@ -110,19 +110,17 @@ def test_one_range_for_all_is_right_there_alone_and_the_true_range_everywhere() 
 
 
 @pytest.fixture(scope="module")
-def near() -> dict[str, np.ndarray]:
+def near():
     return views_of_a_sphere(rig_of_the_shelf(), 2.0, back_light=1.2)
 
 
 @pytest.fixture(scope="module")
-def depth(near: dict[str, np.ndarray]) -> Composed:
+def depth(near):
     """The panorama of the sphere at its range."""
     return compose(near, rig_of_the_shelf(), np.eye(3), np.full((WIDTH // 2, WIDTH), 1 / 2.0))
 
 
-def test_with_the_range_both_lenses_agree_to_a_pixel_of_a_fine_panorama(
-    near: dict[str, np.ndarray], depth: Composed
-) -> None:
+def test_with_the_range_both_lenses_agree_to_a_pixel_of_a_fine_panorama(near, depth):
     rig, fine = rig_of_the_shelf(), FINE / WIDTH
     far = compose(near, rig, np.eye(3), np.zeros((WIDTH // 2, WIDTH)))
     assert len(depth.seam_px) > 60
@@ -132,7 +130,7 @@ def test_with_the_range_both_lenses_agree_to_a_pixel_of_a_fine_panorama(
     assert depth.agreement > 0.99
 
 
-def test_the_panorama_shows_the_sphere(depth: Composed) -> None:
+def test_the_panorama_shows_the_sphere(depth):
     found = depth
     assert found.shown.all()
     # light of the back lens over that of the front lens
@@ -148,9 +146,7 @@ def test_the_panorama_shows_the_sphere(depth: Composed) -> None:
     assert jump[edge].mean() < 1.2 * jump[~edge].mean()
 
 
-def test_wide_panoramas_are_projected_at_some_pixels_and_lose_nothing(
-    near: dict[str, np.ndarray], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_wide_panoramas_are_projected_at_some_pixels_and_lose_nothing(near, monkeypatch):
     # narrower than in use, where this begins above 2048 px, with steps of as many pixels of the lens
     rig, width = rig_of_the_shelf(), WIDTH
     monkeypatch.setattr(compose_module, "_FINE_PX", width - 1)
@@ -168,7 +164,7 @@ def test_wide_panoramas_are_projected_at_some_pixels_and_lose_nothing(
     assert off.max() <= 12  # a detail at the border of both lenses
 
 
-def test_what_a_mask_hides_is_grey_where_the_other_lens_does_not_show_it(near: dict[str, np.ndarray]) -> None:
+def test_what_a_mask_hides_is_grey_where_the_other_lens_does_not_show_it(near):
     rig = rig_of_the_shelf()
     mask = np.ones((640, 640), dtype=bool)
     mask[400:, :] = False
@@ -178,7 +174,7 @@ def test_what_a_mask_hides_is_grey_where_the_other_lens_does_not_show_it(near: d
     assert (found.picture[hidden] == 128).all()
 
 
-def test_views_that_are_turned_against_each_other_are_told(near: dict[str, np.ndarray]) -> None:
+def test_views_that_are_turned_against_each_other_are_told(near):
     rig = rig_of_the_shelf()
     assert reading_that_fits(near, rig) == ""
     for lens in ("front", "back"):

@@ -98,7 +98,7 @@ def trajectory() -> Trajectory:
 
 
 @pytest.fixture(scope="module")
-def survey(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def survey(tmp_path_factory):
     """Three files of the rig, one of them a copy, and the cloud of the walls."""
     folder = tmp_path_factory.mktemp("rig")
     rig = small_rig()
@@ -142,7 +142,7 @@ def files_of(folder: Path) -> dict[str, Path]:
     return {path.name: path for path in (folder / "rig").iterdir()}
 
 
-def test_panoramas_are_placed_levelled_and_tagged(survey: Path, tmp_path: Path) -> None:
+def test_panoramas_are_placed_levelled_and_tagged(survey, tmp_path):
     placed = place_rig_files([survey / "rig"], trajectory(), SETTINGS)
     table = make_panoramas(
         files_of(survey),
@@ -180,16 +180,14 @@ def test_panoramas_are_placed_levelled_and_tagged(survey: Path, tmp_path: Path) 
         assert picture[y, x] == pytest.approx(WALLS[name], abs=12), name
 
 
-def test_a_second_file_of_one_time_is_counted_and_has_no_panorama(survey: Path) -> None:
+def test_a_second_file_of_one_time_is_counted_and_has_no_panorama(survey):
     placed = place_rig_files([survey / "rig"], trajectory(), SETTINGS)
     assert placed.report.losses["files_of_one_time"] == 1
     assert sum("of the same time as" in reason for reason in placed.poses.reasons) == 1
     assert placed.poses.oriented.sum() == 2
 
 
-def test_stamps_in_whole_seconds_are_less_certain_and_this_is_told(
-    survey: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_stamps_in_whole_seconds_are_less_certain_and_this_is_told(survey, tmp_path, caplog):
     path = tmp_path / "R20210512_103100.jpg"
     path.write_bytes((survey / "rig" / "R20210512_103100000.jpg").read_bytes())
     with caplog.at_level("WARNING", logger="thalweg"):
@@ -200,7 +198,7 @@ def test_stamps_in_whole_seconds_are_less_certain_and_this_is_told(
     assert placed.poses.sigma_t_s[0] == pytest.approx(expected, rel=1e-6)
 
 
-def test_files_outside_the_survey_and_depth_without_a_cloud_are_told(survey: Path, tmp_path: Path) -> None:
+def test_files_outside_the_survey_and_depth_without_a_cloud_are_told(survey, tmp_path):
     late = RigSettings.model_validate(SETTINGS.model_dump() | {"times": {"utc_offset": "+01:00"}})
     with pytest.raises(CoverageError):
         place_rig_files([survey / "rig"], trajectory(), late)
@@ -222,9 +220,7 @@ def test_files_outside_the_survey_and_depth_without_a_cloud_are_told(survey: Pat
         )
 
 
-def test_an_unknown_clock_a_missing_mask_and_a_cloud_of_elsewhere_are_told(
-    survey: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_an_unknown_clock_a_missing_mask_and_a_cloud_of_elsewhere_are_told(survey, tmp_path, caplog):
     plain = RigSettings.model_validate(SETTINGS.model_dump() | {"clock": {}})
     with caplog.at_level("WARNING", logger="thalweg"):
         placed = place_rig_files([survey / "rig"], trajectory(), plain)
@@ -244,7 +240,7 @@ def test_an_unknown_clock_a_missing_mask_and_a_cloud_of_elsewhere_are_told(
     assert caplog.text.count("no point of the cloud within 80 m: taken outside the time of the lidar?") == 2
 
 
-def test_a_rig_colours_all_walls(survey: Path, tmp_path: Path) -> None:
+def test_a_rig_colours_all_walls(survey, tmp_path):
     placed = place_rig_files([survey / "rig"], trajectory(), SETTINGS)
     sources = rig_photographs(files_of(survey), placed.poses, small_rig())
     found = colour_cloud(
@@ -273,7 +269,7 @@ def test_a_rig_colours_all_walls(survey: Path, tmp_path: Path) -> None:
             assert {lens[number] for number in seen} == {"front" if sign > 0 else "back"}
 
 
-def test_gaps_of_a_cloud_take_the_nearer_border_and_the_rest_is_far() -> None:
+def test_gaps_of_a_cloud_take_the_nearer_border_and_the_rest_is_far():
     rng = np.random.default_rng(2)
     # two walls, 4 m ahead and 9 m behind, with a slit of 3 degrees between points in the first
     ahead = np.column_stack([rng.uniform(-4, 4, (60_000, 2)), np.full(60_000, 4.0)])

@@ -8,7 +8,7 @@ import pytest
 from thalweg.panorama.compose import Composed, _render
 
 
-def test_the_rms_of_the_seam_leaves_out_a_twentieth() -> None:
+def test_the_rms_of_the_seam_leaves_out_a_twentieth():
     """1 to 20 px with both signs: the root mean square of 1 to 19."""
     shifts = np.arange(1.0, 21.0) * np.where(np.arange(20) % 2, 1, -1)
     rms = Composed.seam_rms_px.fget
@@ -17,7 +17,7 @@ def test_the_rms_of_the_seam_leaves_out_a_twentieth() -> None:
     assert np.isnan(rms(SimpleNamespace(seam_px=np.full(4, 2.0))))
 
 
-def test_the_seam_runs_straight_from_place_to_place() -> None:
+def test_the_seam_runs_straight_from_place_to_place():
     """A zigzag of 30 and 150 degrees: between its corners the seam is interpolated, and closes around."""
     height, width = 48, 96
     seam = np.where(np.arange(721) % 2 == 0, 30.0, 150.0)

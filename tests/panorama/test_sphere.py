@@ -7,7 +7,7 @@ from thalweg.core import Camera, GeometryError, exp_rotation
 from thalweg.panorama import default_width_px, level_attitude, pixels_of, sphere_rays
 
 
-def test_projection_is_that_of_colmap() -> None:
+def test_projection_is_that_of_colmap():
     pycolmap = pytest.importorskip("pycolmap")
     width = 5376
     judge = pycolmap.Camera.create_from_model_name(1, "EQUIRECTANGULAR", float(width), width, width // 2)
@@ -17,7 +17,7 @@ def test_projection_is_that_of_colmap() -> None:
     assert off.max() <= 0.01
 
 
-def test_rays_are_those_of_the_centres_of_pixels() -> None:
+def test_rays_are_those_of_the_centres_of_pixels():
     width = 96
     xy = pixels_of(sphere_rays(width).reshape(-1, 3), width).reshape(width // 2, width, 2)
     row, column = np.mgrid[0 : width // 2, 0:width] + 0.5
@@ -25,7 +25,7 @@ def test_rays_are_those_of_the_centres_of_pixels() -> None:
     assert np.isnan(pixels_of(np.zeros((1, 3)), width)[0, 1])
 
 
-def test_a_panorama_is_level_and_looks_where_the_front_lens_heads() -> None:
+def test_a_panorama_is_level_and_looks_where_the_front_lens_heads():
     front = exp_rotation([0.1, 0.2, 1.0]) @ np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]], dtype=float)
     R = level_attitude(front)
     assert pytest.approx(np.eye(3), abs=1e-12) == R @ R.T
@@ -37,7 +37,7 @@ def test_a_panorama_is_level_and_looks_where_the_front_lens_heads() -> None:
         level_attitude(np.diag([1.0, -1.0, -1.0]))
 
 
-def test_width_is_that_of_the_lens() -> None:
+def test_width_is_that_of_the_lens():
     lens = Camera(
         model="fisheye", size_px=(640, 640), parameters=np.array([190.9, 190.9, 320, 320, 0, 0, 0, 0])
     )

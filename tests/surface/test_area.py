@@ -29,7 +29,7 @@ def star(rng: np.random.Generator, corners: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("corners", [3, 8, 50, 3000])
-def test_jagged_outlines_agree_with_winding_numbers(rng: np.random.Generator, corners: int) -> None:
+def test_jagged_outlines_agree_with_winding_numbers(rng, corners):
     polygon = star(rng, corners)
     points = np.column_stack([rng.uniform(230, 370, 2000), rng.uniform(-110, 30, 2000), np.zeros(2000)])
     found = Area(polygon_en_m=polygon).contains(points)
@@ -42,7 +42,7 @@ def test_jagged_outlines_agree_with_winding_numbers(rng: np.random.Generator, co
     [BAY, BAY[::-1], np.vstack([BAY, BAY[:1]]), np.repeat(BAY, 2, axis=0), np.roll(BAY, 3, axis=0)],
     ids=["plain", "clockwise", "closed", "doubled corners", "another beginning"],
 )
-def test_a_bay_is_outside_however_the_corners_are_given(polygon: np.ndarray) -> None:
+def test_a_bay_is_outside_however_the_corners_are_given(polygon):
     area = Area(polygon_en_m=polygon)
     points = np.array(
         [[5.0, 5, 0], [5, 1, 0], [2, 7, 0], [8, 7, 0], [11, 4, 0], [np.nan, 1, 0], [5, 1, np.inf]]
@@ -51,7 +51,7 @@ def test_a_bay_is_outside_however_the_corners_are_given(polygon: np.ndarray) -> 
     assert area.size_m2() == pytest.approx(68.0)
 
 
-def test_neighbours_share_no_point_and_lose_none() -> None:
+def test_neighbours_share_no_point_and_lose_none():
     """A square cut along slanted and straight lines: each point of a grid through all corners in one part."""
     west = np.array([[0.0, 0], [4, 0], [6, 5], [4, 10], [0, 10]])
     east = np.array([[4.0, 0], [10, 0], [10, 10], [4, 10], [6, 5]])
@@ -62,7 +62,7 @@ def test_neighbours_share_no_point_and_lose_none() -> None:
     np.testing.assert_array_equal(count, inside.astype(int))
 
 
-def test_heights_include_their_limits() -> None:
+def test_heights_include_their_limits():
     points = np.array([[0.0, 0, z] for z in (0.9, 1.0, 2.0, 2.1)])
     assert Area(lowest_m=1.0, highest_m=2.0).contains(points).tolist() == [False, True, True, False]
     assert Area().contains(points).all()
@@ -70,7 +70,7 @@ def test_heights_include_their_limits() -> None:
     assert Area().describe() == "all that the reference covers"
 
 
-def test_map_coordinates_reach_the_same_points() -> None:
+def test_map_coordinates_reach_the_same_points():
     """A polygon and heights in the map grid hold the points that lie inside in the map grid, 2 km away."""
     crs = CRS.from_user_input(UTM)
     centre = FRAME.to_map(np.array([1500.0, -1300.0, 10.0]), crs)
@@ -103,19 +103,19 @@ def test_map_coordinates_reach_the_same_points() -> None:
         ([[0, 0], [4, 0], [np.nan, 4]], ["not finite"]),
     ],
 )
-def test_what_is_no_polygon_is_refused(polygon: list[list[float]], words: list[str]) -> None:
+def test_what_is_no_polygon_is_refused(polygon, words):
     with pytest.raises(InputError) as refused:
         Area(polygon_en_m=np.array(polygon, dtype=np.float64))
     for word in ("accuracy.area.polygon", *words):
         assert word in str(refused.value)
 
 
-def test_local_corners_called_map_are_refused_with_the_cure() -> None:
+def test_local_corners_called_map_are_refused_with_the_cure():
     section = AreaSection(frame="map", polygon=BAY.tolist())
     with pytest.raises(InputError, match=r"do not lie in EPSG:25833.*accuracy.area.frame to local"):
         Area.from_section(section, FRAME, UTM)
 
 
-def test_heights_that_hold_nothing_are_refused() -> None:
+def test_heights_that_hold_nothing_are_refused():
     with pytest.raises(InputError, match="heights from 3 to 2 m"):
         Area(lowest_m=3.0, highest_m=2.0)

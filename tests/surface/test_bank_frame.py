@@ -28,7 +28,7 @@ def normal_of(slope_deg: float) -> np.ndarray:
 
 
 @pytest.mark.parametrize("slope_deg", [2.0, 33.0, 70.0, 90.0])
-def test_axes_of_a_plain_bank(rng: np.random.Generator, slope_deg: float) -> None:
+def test_axes_of_a_plain_bank(rng, slope_deg):
     frame = fit_bank(bank(rng, 40_000, slope_deg), TRACK).frame
     # 1 deg: patches are cubes that cut the bank askew, small slices of it are as thick as wide
     assert angle_deg(frame.out, normal_of(slope_deg)) < 1.0
@@ -39,26 +39,26 @@ def test_axes_of_a_plain_bank(rng: np.random.Generator, slope_deg: float) -> Non
     np.testing.assert_allclose(np.cross(frame.along, frame.up_slope), frame.out, atol=1e-12)
 
 
-def test_right_is_to_the_right_when_one_looks_at_the_bank() -> None:
+def test_right_is_to_the_right_when_one_looks_at_the_bank():
     frame = BankFrame.of(np.zeros(3), [0.0, 1.0, 0.5], [0.0, 1.0, 0.0])
     np.testing.assert_allclose(frame.along, [-1, 0, 0])  # looking south, west is to the right
 
 
-def test_coordinates_come_back(rng: np.random.Generator) -> None:
+def test_coordinates_come_back(rng):
     frame = BankFrame.of([1.0, 2.0, 3.0], [0.3, -0.5, 0.8], [0.0, -1.0, 0.0])
     p = rng.normal(0, 100, (50, 3))
     np.testing.assert_allclose(frame.to_wcs(frame.to_bank(p)), p, atol=1e-10)
     np.testing.assert_allclose(frame.to_bank(frame.origin_m + 2 * frame.out), [0, 0, 2], atol=1e-12)
 
 
-def test_the_other_bank_looks_the_other_way(rng: np.random.Generator) -> None:
+def test_the_other_bank_looks_the_other_way(rng):
     p = bank(rng, 20_000, 40.0) * [1, -1, 1]
     frame = fit_bank(p, TRACK * [1, -1, 1]).frame
     assert angle_deg(frame.out, normal_of(40.0) * [1, -1, 1]) < 0.5
     assert frame.along[0] > 0.99
 
 
-def test_trees_and_a_house_do_not_turn_it(rng: np.random.Generator) -> None:
+def test_trees_and_a_house_do_not_turn_it(rng):
     """As many points in crowns as on the ground, and a wall."""
     ground = bank(rng, 30_000, 33.0)
     tree = rng.uniform(-20, 20, (30, 1)) * [1, 0, 0] + [0, -6, 8]
@@ -69,7 +69,7 @@ def test_trees_and_a_house_do_not_turn_it(rng: np.random.Generator) -> None:
     assert angle_deg(frame.out, normal_of(33.0)) < 6
 
 
-def test_a_wall_with_a_meadow_is_seen_from_between(rng: np.random.Generator) -> None:
+def test_a_wall_with_a_meadow_is_seen_from_between(rng):
     wall = np.column_stack([rng.uniform(-30, 30, 20_000), np.zeros(20_000), rng.uniform(0, 6, 20_000)])
     meadow = np.column_stack([rng.uniform(-30, 30, 20_000), rng.uniform(-6, 0, 20_000), np.full(20_000, 6.0)])
     fit = fit_bank(np.concatenate([wall, meadow]), TRACK)
@@ -79,7 +79,7 @@ def test_a_wall_with_a_meadow_is_seen_from_between(rng: np.random.Generator) -> 
     assert not fit.vertical
 
 
-def test_around_a_bend_a_bank_is_seen_from_above(rng: np.random.Generator) -> None:
+def test_around_a_bend_a_bank_is_seen_from_above(rng):
     """A loop of 200 degrees, its bank 70 degrees steep: no inclined direction shows both its ends."""
     end, slope = np.deg2rad(100), np.deg2rad(70)
     turn, u = rng.uniform(-end, end, 60_000), rng.uniform(0, 8, 60_000)
@@ -93,7 +93,7 @@ def test_around_a_bend_a_bank_is_seen_from_above(rng: np.random.Generator) -> No
     assert fit.steep_share < 0.01
 
 
-def test_front_is_toward_the_nearest_place_of_the_boat() -> None:
+def test_front_is_toward_the_nearest_place_of_the_boat():
     front = front_direction([[0.0, 0.0, 5.0], [100.0, 15.0, -3.0], thin_track(TRACK)[40] + [0, 0, 9]], TRACK)
     half = np.sqrt(0.5)
     # 0.01: the track's places are half a metre apart
@@ -101,13 +101,13 @@ def test_front_is_toward_the_nearest_place_of_the_boat() -> None:
     np.testing.assert_allclose(np.linalg.norm(front, axis=1), 1.0)
 
 
-def test_a_track_of_a_boat_at_rest_is_thinned() -> None:
+def test_a_track_of_a_boat_at_rest_is_thinned():
     track = np.concatenate([np.zeros((1000, 3)), [[3.0, 0, 0]]])
     assert len(thin_track(track)) == 2
 
 
 @pytest.mark.parametrize("track", [np.zeros((0, 3)), np.full((4, 3), np.nan), np.zeros(3)], ids=str)
-def test_a_track_without_places_is_told(track: np.ndarray) -> None:
+def test_a_track_without_places_is_told(track):
     with pytest.raises(GeometryError, match="finite places"):
         front_direction(np.zeros((1, 3)), track)
 
@@ -120,11 +120,11 @@ def test_a_track_without_places_is_told(track: np.ndarray) -> None:
         (np.linspace(0, 1, 500)[:, None] * [3.0, 4.0, 1.0] + 700.0, "a line or a place"),
     ],
 )
-def test_a_cloud_without_surface_is_told(points: np.ndarray, answer: str) -> None:
+def test_a_cloud_without_surface_is_told(points, answer):
     with pytest.raises(GeometryError, match=answer):
         fit_bank(points, TRACK)
 
 
-def test_few_points_are_enough() -> None:
+def test_few_points_are_enough():
     frame = fit_bank([[0.0, 0, 0], [3.0, 0, 0], [0.0, -1, 1]], TRACK).frame
     assert angle_deg(frame.out, normal_of(45.0)) < 1e-6

@@ -38,7 +38,7 @@ def written(path: Path, points: np.ndarray) -> Path:
 
 
 @pytest.mark.parametrize("what", SCALES)
-def test_spacing_and_scatter_are_measured_at_any_scale(what: str) -> None:
+def test_spacing_and_scatter_are_measured_at_any_scale(what):
     """Of random places in a square: spacing 1 over the root of the density; curvature adds to the noise."""
     width, noise = SCALES[what]
     texture = texture_of(cloud(901, width, noise), ABOVE * width)
@@ -46,7 +46,7 @@ def test_spacing_and_scatter_are_measured_at_any_scale(what: str) -> None:
     assert 0.9 * noise < texture.scatter_m < 1.35 * noise + 1e-3 * texture.spacing_m
 
 
-def test_noise_wider_than_the_spacing_is_measured_too() -> None:
+def test_noise_wider_than_the_spacing_is_measured_too():
     """Neighbours are sought in the view, not in space, where they would be those of equal noise."""
     texture = texture_of(cloud(902, 1.0, 0.05), ABOVE)
     assert texture.scatter_m == pytest.approx(0.05, rel=0.1)
@@ -57,7 +57,7 @@ def test_noise_wider_than_the_spacing_is_measured_too() -> None:
 
 
 @pytest.mark.parametrize("what", SCALES)
-def test_a_cloud_against_itself_is_zero_and_whole(what: str, tmp_path: Path) -> None:
+def test_a_cloud_against_itself_is_zero_and_whole(what, tmp_path):
     """With plants, a stray point and doubled points in it."""
     width, noise = SCALES[what]
     points = cloud(903, width, noise)
@@ -73,7 +73,7 @@ def test_a_cloud_against_itself_is_zero_and_whole(what: str, tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("what", SCALES)
-def test_a_lift_is_found_at_any_scale(what: str, tmp_path: Path) -> None:
+def test_a_lift_is_found_at_any_scale(what, tmp_path):
     """By a hundredth of the width, along normals of slopes that are known; by mesh and by M3C2."""
     width, noise = SCALES[what]
     before, after = cloud(904, width, noise), cloud(905, width, noise, lift=0.01)
@@ -97,7 +97,7 @@ def test_a_lift_is_found_at_any_scale(what: str, tmp_path: Path) -> None:
     assert any("1 of 4 points is a core point" in note for note in notes)
 
 
-def test_what_is_stated_stays() -> None:
+def test_what_is_stated_stays():
     points = cloud(906, 30.0, 0.004)
     chosen, texture = meshing_by_data(
         points, 30 * ABOVE, {"cell_m": 0.7, "clearance_m": 0.3, "sigma_m": None}
@@ -118,7 +118,7 @@ def test_what_is_stated_stays() -> None:
     assert (stated.radius_m, stated.scales_m, stated.half_length_m) == (2.0, (0.5,), 60.0)
 
 
-def test_points_a_metre_apart_need_no_option(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_points_a_metre_apart_need_no_option(tmp_path, capsys):
     """And lengths that do not fit are refused with options of the command."""
     x, y = (axis.ravel() for axis in np.meshgrid(np.arange(30.0), np.arange(20.0)))
     first = written(tmp_path / "a.xyz", np.column_stack([x, y, 0.01 * x]))
@@ -148,7 +148,7 @@ def test_points_a_metre_apart_need_no_option(tmp_path: Path, capsys: pytest.Capt
         assert "coordinate system" not in told
 
 
-def test_the_page_and_its_figures_say_one_thing(tmp_path: Path) -> None:
+def test_the_page_and_its_figures_say_one_thing(tmp_path):
     """The lead gives the RMSE of the figures, and beside it that without outliers."""
     before, after = cloud(907, 30.0, 0.004), cloud(908, 30.0, 0.004)
     after[:200, 2] += 2.0
@@ -165,7 +165,7 @@ def test_the_page_and_its_figures_say_one_thing(tmp_path: Path) -> None:
 
 
 @pytest.mark.real
-def test_two_planes_without_any_option(data_dir: Path) -> None:
+def test_two_planes_without_any_option(data_dir):
     """Clouds of py4dgeo, 1 m apart, -0.1 m; its own M3C2 at nine of the points: mean -0.100323 m."""
     files = [data_dir / "py4dgeo_planes" / f"plane_horizontal_t{k}.xyz" for k in (1, 2)]
     table, _, _ = compare_clouds(*files, {}, core_every=None)

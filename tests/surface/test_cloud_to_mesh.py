@@ -68,7 +68,7 @@ def over_all_faces(mesh: TriangleMesh, points: np.ndarray) -> np.ndarray:
         ((0, 0, 0), 0.0, (0, 0, 0), True),
     ],
 )
-def test_places_of_a_triangle(point, distance, nearest, at_border) -> None:
+def test_places_of_a_triangle(point, distance, nearest, at_border):
     found = distances([[0, 0, 0], [4, 0, 0], [0, 4, 0]], [[0, 1, 2]], [point])
     # 1e-15: rounding of numbers of this size
     np.testing.assert_allclose(found.distance_m, [distance], rtol=0, atol=1e-15)
@@ -78,7 +78,7 @@ def test_places_of_a_triangle(point, distance, nearest, at_border) -> None:
     assert not np.signbit(found.distance_m[0]) or distance < 0  # on the surface: plus zero
 
 
-def test_sigma_is_interpolated_where_the_point_is_nearest(rng: np.random.Generator) -> None:
+def test_sigma_is_interpolated_where_the_point_is_nearest(rng):
     """Sigmas that are linear in the plane come back exactly at every place: faces, edges, corners."""
     vertices = np.column_stack([rng.uniform(0, 10, (60, 2)), np.zeros(60)])
     faces = rough_bank.RoughBank(6, 10, step_m=1, rough_m=0).mesh.faces
@@ -93,7 +93,7 @@ def test_sigma_is_interpolated_where_the_point_is_nearest(rng: np.random.Generat
 
 @pytest.mark.parametrize("n_faces", [1, LEAF, LEAF + 1, 8 * LEAF, 8 * LEAF + 1, 64 * LEAF + 1])
 @pytest.mark.parametrize("shift", [np.zeros(3), UTM], ids=["local", "map"])
-def test_no_face_is_nearer_than_the_one_found(rng, n_faces: int, shift: np.ndarray) -> None:
+def test_no_face_is_nearer_than_the_one_found(rng, n_faces, shift):
     """Loose triangles through each other, slim and without area among them."""
     vertices = rng.uniform(-1, 1, (3 * n_faces, 3)) * [3, 1, 0.3]
     vertices[2::9] = 0.5 * (vertices[0::9] + vertices[1::9]) + rng.choice(
@@ -116,7 +116,7 @@ def test_no_face_is_nearer_than_the_one_found(rng, n_faces: int, shift: np.ndarr
     assert alone == np.abs(found.distance_m[:20]).tolist()
 
 
-def test_rough_ground_to_the_last_digit_and_its_sides(rng: np.random.Generator) -> None:
+def test_rough_ground_to_the_last_digit_and_its_sides(rng):
     bank = rough_bank.RoughBank(40, 30, step_m=0.05, rough_m=0.03)
     points = bank.points(4000, sigma_m=0.1)
     found = Surface(bank.mesh).distances(points)
@@ -129,7 +129,7 @@ def test_rough_ground_to_the_last_digit_and_its_sides(rng: np.random.Generator) 
     assert np.array_equal(np.sign(found.distance_m[inside]), side[inside])
 
 
-def test_map_coordinates_cost_nothing(rng: np.random.Generator) -> None:
+def test_map_coordinates_cost_nothing(rng):
     """Mesh and points at 5.6e6 m give the distances of the local frame, to a step of such a number."""
     bank = rough_bank.RoughBank(60, 40, step_m=0.05, rough_m=0.02)
     points = bank.points(5000)
@@ -144,12 +144,12 @@ def test_map_coordinates_cost_nothing(rng: np.random.Generator) -> None:
     assert np.array_equal(far.at_border, local.at_border)
 
 
-def test_far_points_keep_their_digits() -> None:
+def test_far_points_keep_their_digits():
     found = distances(SQUARE, TWO_FACES, [[1.0, 2, 5e6], [5e6, 2, 0], [1, 2, 0.25]])
     np.testing.assert_allclose(found.distance_m, [5e6, 5e6 - 4, 0.25], rtol=1e-15)
 
 
-def test_order_chunks_and_threads_change_nothing(rng, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_order_chunks_and_threads_change_nothing(rng, monkeypatch):
     bank = rough_bank.RoughBank(50, 40, step_m=0.05, rough_m=0.03)
     points = np.concatenate([bank.points(5000), bank.mesh.vertices_m[:500]])
     whole = Surface(bank.mesh).distances(points)
@@ -170,7 +170,7 @@ def test_order_chunks_and_threads_change_nothing(rng, monkeypatch: pytest.Monkey
 # ---------------------------------------------------------------- sides
 
 
-def test_an_acute_ridge_needs_the_normals_of_both_faces() -> None:
+def test_an_acute_ridge_needs_the_normals_of_both_faces():
     """A ridge of 20 degrees: seen from beside its top, the far face shows its back, the sum does not."""
     h = 1 / np.tan(np.radians(10))
     ridge = [[-5, 0, 0], [5, 0, 0], [-5, -1, -h], [5, -1, -h], [-5, 1, -h], [5, 1, -h]]
@@ -186,7 +186,7 @@ def test_an_acute_ridge_needs_the_normals_of_both_faces() -> None:
     assert (by_face < 0).any(axis=1).tolist() == [True, True]
 
 
-def test_a_corner_weighs_its_normals_by_their_angles() -> None:
+def test_a_corner_weighs_its_normals_by_their_angles():
     """A spike whose west side is cut into 40 slim faces: with equal weights they would outvote the others."""
     west = np.column_stack([np.full(41, -1.0), np.linspace(1, -1, 41), np.full(41, -5.0)])
     ring = np.vstack([west, [[1, -1, -5], [1, 1, -5]]])
@@ -207,7 +207,7 @@ def test_a_corner_weighs_its_normals_by_their_angles() -> None:
 # ---------------------------------------------------------------- borders
 
 
-def test_only_places_on_the_border_are_at_the_border(rng: np.random.Generator) -> None:
+def test_only_places_on_the_border_are_at_the_border(rng):
     """A plate with a hole: the border is its rim, not every face that touches the rim."""
     bank = rough_bank.RoughBank(9, 9, step_m=1, rough_m=0)
     x, y = np.meshgrid(np.arange(9.0), np.arange(9.0), indexing="ij")
@@ -226,7 +226,7 @@ def test_only_places_on_the_border_are_at_the_border(rng: np.random.Generator) -
     assert 1000 < found.at_border.sum() < 3000
 
 
-def test_doubled_vertices_are_a_border_and_sheets_on_each_other_are_decided_by_number() -> None:
+def test_doubled_vertices_are_a_border_and_sheets_on_each_other_are_decided_by_number():
     seam = [[0, 0, 0], [2, 0, 0], [2, 2, 0], [2, 0, 0], [4, 0, 0], [2, 2, 0]]
     faces = [[0, 1, 2], [3, 4, 5]]
     found = distances(seam, faces, [[2.0, 1, 1], [1.5, 0.5, 1]])
@@ -248,14 +248,14 @@ def test_doubled_vertices_are_a_border_and_sheets_on_each_other_are_decided_by_n
         ([[0, 1, 2], [0, 2, 1]], "a face and its own back"),
     ],
 )
-def test_places_without_two_sides_are_flagged(faces, what: str) -> None:
+def test_places_without_two_sides_are_flagged(faces, what):
     found = distances([*SQUARE, [2, 2, 3]], faces, [[2.1, 1.9, -1.0], [2.0, 2.0, -1.0], [3.0, 1.0, -1.0]])
     assert found.at_border.tolist()[1:] == [True, False], what
     np.testing.assert_allclose(np.linalg.norm(found.normal, axis=1), 1)
     assert found.distance_m[2] == -1  # the lowest of two equally near ones
 
 
-def test_two_bodies_that_share_an_edge_have_no_sides_there() -> None:
+def test_two_bodies_that_share_an_edge_have_no_sides_there():
     """Two closed tetrahedra hang on one edge: four faces at it, though nothing is open."""
     vertices = [[0, 0, 0], [2, 0, 0], [1, -1, -2], [1, -0.5, -2], [1, 0.5, -2], [1, 1, -2]]
     one = [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]
@@ -269,7 +269,7 @@ def test_two_bodies_that_share_an_edge_have_no_sides_there() -> None:
     assert (alone.distance_m > 0).all()
 
 
-def test_faces_without_area_take_part_without_a_side() -> None:
+def test_faces_without_area_take_part_without_a_side():
     """A needle, a face that names a corner twice, and one in a point: places, but no normal of their own."""
     vertices = [*SQUARE, [2, 2, 0]]
     faces = [*TWO_FACES, [0, 4, 2], [1, 1, 2], [3, 3, 3]]
@@ -299,20 +299,20 @@ def test_faces_without_area_take_part_without_a_side() -> None:
         (UTM + np.zeros((2, 3)), "all 2 points lie at least 5669.1 km from the mesh"),
     ],
 )
-def test_points_that_cannot_be_compared_are_refused(points, found: str) -> None:
+def test_points_that_cannot_be_compared_are_refused(points, found):
     with pytest.raises(GeometryError) as error:
         distances(SQUARE, TWO_FACES, points)
     assert found in str(error.value)
 
 
-def test_meshes_that_cannot_be_searched_are_refused() -> None:
+def test_meshes_that_cannot_be_searched_are_refused():
     with pytest.raises(GeometryError, match=r"4 vertices without a face.*longest edge"):
         distances(SQUARE, [], [[0.0, 0, 0]])
     with pytest.raises(GeometryError, match=r"a mesh 40\.0 km wide; expected at most 20 km"):
         distances(np.array(SQUARE) * 1e4, TWO_FACES, [[0.0, 0, 0]])
 
 
-def test_no_points_and_loose_vertices_are_no_mistake() -> None:
+def test_no_points_and_loose_vertices_are_no_mistake():
     assert distances(SQUARE, TWO_FACES, np.zeros((0, 3))).distance_m.shape == (0,)
     # a vertex without a face neither widens the mesh nor is a place of it
     found = distances([*SQUARE, [1e9, 0, 0]], TWO_FACES, [[1.0, 2, 0.5], [5000, 2, 0]])

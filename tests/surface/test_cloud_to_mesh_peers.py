@@ -25,7 +25,7 @@ def ours_and_trimesh(theirs: trimesh.Trimesh, points: np.ndarray):
 
 @pytest.mark.parametrize("shift", [0.0, 5e6], ids=["local", "map"])
 @pytest.mark.parametrize("shape", ["sphere", "box"])
-def test_closed_bodies_beside_trimesh(rng: np.random.Generator, shape: str, shift: float) -> None:
+def test_closed_bodies_beside_trimesh(rng, shape, shift):
     """Distances, places and signs; trimesh counts inside as positive."""
     body = trimesh.creation.icosphere(3, 2.0) if shape == "sphere" else trimesh.creation.box((1, 2, 3))
     body.apply_translation([shift] * 3)
@@ -94,7 +94,7 @@ def cloud_compare(folder: Path, points: np.ndarray, mesh: TriangleMesh) -> np.nd
     ],
     ids=["natural", "stones"],
 )
-def test_cloud_compare_agrees_on_the_same_files(tmp_path: Path, rough_m: float, most_signs: float) -> None:
+def test_cloud_compare_agrees_on_the_same_files(tmp_path, rough_m, most_signs):
     """200,000 faces, 30,000 points: same distances; where signs differ, the height field says who is right.
 
     CloudCompare takes the side of one nearest face. Where an edge is nearest, and one of its faces turns its

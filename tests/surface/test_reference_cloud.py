@@ -28,7 +28,7 @@ def kept(points: np.ndarray) -> np.ndarray:
 # ---------------------------------------------------------------- lower envelope
 
 
-def test_bushes_and_trees_go_and_ground_stays(rng: np.random.Generator) -> None:
+def test_bushes_and_trees_go_and_ground_stays(rng):
     p = ground(rng)
     bush = rng.normal(0, 1, (4000, 3))
     bush = bush / np.linalg.norm(bush, axis=1)[:, None] * 0.8 + [6.0, 6.0, 1.0]
@@ -42,7 +42,7 @@ def test_bushes_and_trees_go_and_ground_stays(rng: np.random.Generator) -> None:
     assert keep[-800:].mean() < 0.08
 
 
-def test_a_crown_that_hides_the_ground_goes(rng: np.random.Generator) -> None:
+def test_a_crown_that_hides_the_ground_goes(rng):
     """A cell of the coarsest level that holds nothing but leaves, 6 m above the rest."""
     p = ground(rng)
     p = p[~((abs(p[:, 0] - 10) < 2.5) & (abs(p[:, 1] - 10) < 2.5))]
@@ -53,7 +53,7 @@ def test_a_crown_that_hides_the_ground_goes(rng: np.random.Generator) -> None:
     assert keep[len(p) :].mean() < 0.02
 
 
-def test_riprap_stays(rng: np.random.Generator) -> None:
+def test_riprap_stays(rng):
     """Blocks of half a metre side by side, half sunk in: 25 cm high, with gaps down to the ground."""
     p = rng.uniform(0, 15, (80_000, 3))
     from_middle = np.linalg.norm((p[:, :2] + 0.25) % 0.5 - 0.25, axis=1)
@@ -69,14 +69,14 @@ def test_riprap_stays(rng: np.random.Generator) -> None:
 
 
 @pytest.mark.parametrize("sign", [-1.0, 1.0], ids=["ridge", "valley"])
-def test_edges_of_a_steep_bank_stay(rng: np.random.Generator, sign: float) -> None:
+def test_edges_of_a_steep_bank_stay(rng, sign):
     """A wall and a meadow, each 45 degrees from the direction of view, meet at an edge."""
     p = rng.uniform(-10, 10, (80_000, 3))
     p[:, 2] = sign * np.abs(p[:, 1]) + rng.normal(0, 0.01, len(p))
     assert kept(p).all()
 
 
-def test_points_behind_the_surface_go_and_do_not_draw_it_down(rng: np.random.Generator) -> None:
+def test_points_behind_the_surface_go_and_do_not_draw_it_down(rng):
     p = ground(rng)
     mirror = rng.uniform([4.5, 4.5, -9], [5.5, 5.5, -6], (300, 3))  # as dense as the ground there
     height = heights_above_envelope(np.concatenate([p, mirror]), clearance_m=CLEARANCE_M)
@@ -84,14 +84,14 @@ def test_points_behind_the_surface_go_and_do_not_draw_it_down(rng: np.random.Gen
     assert (height[len(p) :] < -2 * CLEARANCE_M).all()
 
 
-def test_the_order_of_points_does_not_matter(rng: np.random.Generator) -> None:
+def test_the_order_of_points_does_not_matter(rng):
     p = ground(rng, 5000)
     order = rng.permutation(len(p))
     one, other = heights_above_envelope(p, clearance_m=0.3), heights_above_envelope(p[order], clearance_m=0.3)
     np.testing.assert_array_equal(one[order], other)
 
 
-def test_an_endless_raster_is_refused() -> None:
+def test_an_endless_raster_is_refused():
     with pytest.raises(GeometryError, match="km2"):
         heights_above_envelope(np.array([[0.0, 0, 0], [90_000.0, 90_000, 0]]), clearance_m=0.3)
 
@@ -101,7 +101,7 @@ def test_an_endless_raster_is_refused() -> None:
 
 @pytest.mark.parametrize("slope", [0.0, 1.0, 3.0])
 @pytest.mark.parametrize("density_m2", [100, 1200, 8000])
-def test_sigmas_of_vertices_are_consistent(rng: np.random.Generator, slope: float, density_m2: int) -> None:
+def test_sigmas_of_vertices_are_consistent(rng, slope, density_m2):
     """A surface rough by 4 mm; a quarter of a point, 3 and 20 points a cell of 5 cm."""
     n = density_m2 * 25
     normal = np.array([-slope, 0.0, 1.0]) / np.hypot(slope, 1)
@@ -118,7 +118,7 @@ def test_sigmas_of_vertices_are_consistent(rng: np.random.Generator, slope: floa
     assert thinned.n_merged.sum() + thinned.n_trimmed == n
 
 
-def test_a_cell_of_one_point_has_the_scatter_of_its_neighbours(rng: np.random.Generator) -> None:
+def test_a_cell_of_one_point_has_the_scatter_of_its_neighbours(rng):
     p = rng.uniform(0, 2, (16_000, 3))
     p[:, 2] = rng.normal(0, 0.01, len(p))
     p[0] = 0.0  # the cells begin here
@@ -131,7 +131,7 @@ def test_a_cell_of_one_point_has_the_scatter_of_its_neighbours(rng: np.random.Ge
 
 
 @pytest.mark.parametrize("cubes", [False, True])
-def test_grass_does_not_draw_the_ground_outward(rng: np.random.Generator, cubes: bool) -> None:
+def test_grass_does_not_draw_the_ground_outward(rng, cubes):
     """Three of ten points on blades up to 2 dm high: a mean would stand 3 cm off, a median 3 mm."""
     p = rng.uniform(0, 3, (60_000, 3))
     p[:, 2] = rng.normal(0, 0.004, len(p))
@@ -142,7 +142,7 @@ def test_grass_does_not_draw_the_ground_outward(rng: np.random.Generator, cubes:
     assert abs(np.median(thinned.points[:, 2]) - 0.2) < 0.005
 
 
-def test_one_point_a_cell(rng: np.random.Generator) -> None:
+def test_one_point_a_cell(rng):
     p = ground(rng, 20_000, 3.0)
     thinned = thin(p, 0.1, cubes=False)
     low = p[:, :2].min(axis=0)
@@ -152,7 +152,7 @@ def test_one_point_a_cell(rng: np.random.Generator) -> None:
     np.testing.assert_allclose(np.linalg.norm(thinned.normals, axis=1), 1.0)
 
 
-def test_blades_are_spikes_and_stones_and_ridges_are_not(rng: np.random.Generator) -> None:
+def test_blades_are_spikes_and_stones_and_ridges_are_not(rng):
     i, j = np.meshgrid(np.arange(80), np.arange(80), indexing="ij")
     p = np.stack([i * 0.05, j * 0.05, 0.0 * i], axis=-1).reshape(-1, 3) + rng.normal(0, 0.004, (6400, 3))
     blade = rng.choice(6400, 60, replace=False)
@@ -173,7 +173,7 @@ def test_blades_are_spikes_and_stones_and_ridges_are_not(rng: np.random.Generato
 # ---------------------------------------------------------------- the whole of it
 
 
-def test_every_point_is_accounted_for(rng: np.random.Generator) -> None:
+def test_every_point_is_accounted_for(rng):
     p = ground(rng)
     bush = rng.normal(0, 0.3, (2000, 3)) + np.array([6.0, 6.0, 2.0])
     alone = np.array([[5.0, 5.0, 9.0], [12.0, 3.0, 15.0]])
@@ -200,13 +200,13 @@ def test_every_point_is_accounted_for(rng: np.random.Generator) -> None:
     assert len(cloud.points_m) == len(cloud.sigma_m) == len(cloud.n_merged) == c["kept"]
 
 
-def test_isolated_points_and_clearance_can_be_switched_off(rng: np.random.Generator) -> None:
+def test_isolated_points_and_clearance_can_be_switched_off(rng):
     p = np.concatenate([ground(rng, 5000, 5.0), [[2.0, 2.0, 4.0]]])
     cloud = clean_reference(p, FLAT, ReferenceSettings(isolated_neighbours=0, clearance_m=None, cell_m=0.02))
     assert not {"isolated", "in_front", "behind"} & set(cloud.counts)
 
 
-def test_repeated_points_are_found_in_any_order(rng: np.random.Generator) -> None:
+def test_repeated_points_are_found_in_any_order(rng):
     p = rng.normal(0, 1, (300, 3))
     again = np.concatenate([p, p[::-1], [[0.0, 0, 0], [-0.0, 0, 0]]])
     first = first_of_equals(again)
@@ -223,11 +223,11 @@ def test_repeated_points_are_found_in_any_order(rng: np.random.Generator) -> Non
         (np.zeros((4, 2)), "of shape"),
     ],
 )
-def test_clouds_without_points_are_told(points: np.ndarray, answer: str) -> None:
+def test_clouds_without_points_are_told(points, answer):
     with pytest.raises(InputError, match=answer):
         finite_and_single(points)
 
 
-def test_cleaning_that_takes_all_is_told(rng: np.random.Generator) -> None:
+def test_cleaning_that_takes_all_is_told(rng):
     with pytest.raises(InputError, match=r"leaves 0 points .* 200 isolated;.*isolated_radius_m"):
         clean_reference(rng.uniform(0, 100, (200, 3)), FLAT, ReferenceSettings())

@@ -1,6 +1,5 @@
 """Reference cloud to mesh: both methods against known surfaces and the twin's truth, the area, bad input."""
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,7 @@ from thalweg.settings.sections import ReferenceSettings
 from thalweg.surface import Area, area_margin_m, mesh_reference, read_reference
 from thalweg.surface.reference import near_area
 from thalweg_lab.instruments import simulate_tls
-from thalweg_lab.river import BARE_GROUND, Material, Scene, build_scene
+from thalweg_lab.river import BARE_GROUND, Material, build_scene
 from thalweg_lab.river.mesh import VEGETATION
 from thalweg_lab.settings import TwinConfig
 
@@ -42,7 +41,7 @@ def out_of_waves(points: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_a_mesh_of_a_bank(rng: np.random.Generator, method: str) -> None:
+def test_a_mesh_of_a_bank(rng, method):
     mesh, facts = mesh_reference(
         bank(rng), track_m=TRACK, settings=ReferenceSettings(method=method, cell_m=CELL_M[method])
     )  # type: ignore[arg-type]
@@ -64,7 +63,7 @@ def test_a_mesh_of_a_bank(rng: np.random.Generator, method: str) -> None:
     assert np.minimum.reduce([6 - np.abs(rim[:, 0]), u, 6 - u]).max() < 0.3
 
 
-def test_sigmas_of_a_rough_bank_are_consistent(rng: np.random.Generator) -> None:
+def test_sigmas_of_a_rough_bank_are_consistent(rng):
     mesh, facts = mesh_reference(bank(rng, noise_m=0.01), track_m=TRACK, settings=ReferenceSettings())
     z = out_of_waves(mesh.vertices_m) / mesh.sigma_m
     # 24,000 vertices of pooled sigmas: 5 % either way, and 3 % from waves and slope of the frame
@@ -73,7 +72,7 @@ def test_sigmas_of_a_rough_bank_are_consistent(rng: np.random.Generator) -> None
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_twice_the_same_bytes(rng: np.random.Generator, method: str) -> None:
+def test_twice_the_same_bytes(rng, method):
     p, settings = bank(rng, 10_000), ReferenceSettings(method=method, cell_m=CELL_M[method])  # type: ignore[arg-type]
     one, facts = mesh_reference(p, track_m=TRACK, settings=settings)
     other, again = mesh_reference(p, track_m=TRACK, settings=settings)
@@ -84,7 +83,7 @@ def test_twice_the_same_bytes(rng: np.random.Generator, method: str) -> None:
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_holes_stay_holes(rng: np.random.Generator, method: str) -> None:
+def test_holes_stay_holes(rng, method):
     """A shadow of 1.5 m in the middle: no surface is made up, and its rim is border."""
     p = bank(rng)
     middle = np.array([0.0, -3 * np.cos(SLOPE), 3 * np.sin(SLOPE)])
@@ -99,7 +98,7 @@ def test_holes_stay_holes(rng: np.random.Generator, method: str) -> None:
     assert (centre[mesh.border_faces()] < 1.8).sum() > 15
 
 
-def test_map_sized_coordinates_lose_nothing(rng: np.random.Generator) -> None:
+def test_map_sized_coordinates_lose_nothing(rng):
     shift = np.array([8000.0, -9000.0, 400.0])
     p = bank(rng, 5000)
     near, _ = mesh_reference(p, track_m=TRACK, settings=ReferenceSettings())
@@ -110,7 +109,7 @@ def test_map_sized_coordinates_lose_nothing(rng: np.random.Generator) -> None:
     assert np.median(d) < 1e-5
 
 
-def test_a_fact_tells_of_surface_seen_on_edge(rng: np.random.Generator) -> None:
+def test_a_fact_tells_of_surface_seen_on_edge(rng):
     """A wall that overhangs by 1 m in 4 m, behind a beach: seen from the mean direction it folds."""
     beach = np.column_stack(
         [rng.uniform(-6, 6, 30_000), rng.uniform(0, 9, 30_000), rng.normal(0, 0.003, 30_000)]
@@ -130,7 +129,7 @@ def test_a_fact_tells_of_surface_seen_on_edge(rng: np.random.Generator) -> None:
 
 
 @pytest.fixture(scope="module")
-def twin(tmp_path_factory: pytest.TempPathFactory) -> tuple[Scene, np.ndarray]:
+def twin(tmp_path_factory):
     """The tiny twin's right bank, scanned by one station from the left one."""
     folder = tmp_path_factory.mktemp("twin")
     plants = {"bushes_per_100m": 120, "trees_per_100m": 9}
@@ -145,7 +144,7 @@ def twin(tmp_path_factory: pytest.TempPathFactory) -> tuple[Scene, np.ndarray]:
     return scene, points[(np.abs(points[:, 0]) < 25) & (points[:, 1] < 0) & (points[:, 2] < 8)]
 
 
-def test_the_mesh_of_the_twin_is_its_ground(twin: tuple[Scene, np.ndarray]) -> None:
+def test_the_mesh_of_the_twin_is_its_ground(twin):
     scene, points = twin
     plants = [Material(m) for m in np.flatnonzero(VEGETATION)]
     mesh, facts = mesh_reference(points, track_m=TRACK - [0, 15, 0], settings=ReferenceSettings())
@@ -166,7 +165,7 @@ def test_the_mesh_of_the_twin_is_its_ground(twin: tuple[Scene, np.ndarray]) -> N
     assert facts["pieces"] < 40
 
 
-def test_cleaning_takes_plants_and_leaves_ground_and_stones(twin: tuple[Scene, np.ndarray]) -> None:
+def test_cleaning_takes_plants_and_leaves_ground_and_stones(twin):
     from thalweg.surface.meshing import fit_bank
     from thalweg.surface.thinning import heights_above_envelope
 
@@ -191,7 +190,7 @@ def test_cleaning_takes_plants_and_leaves_ground_and_stones(twin: tuple[Scene, n
 SQUARE = np.array([[0.0, 0], [10, 0], [10, 10], [0, 10]])
 
 
-def test_the_margin_is_round_the_area() -> None:
+def test_the_margin_is_round_the_area():
     area = Area(polygon_en_m=SQUARE, lowest_m=1.0, highest_m=5.0)
     p = np.array([
         [5, 5, 3], [-1.9, 5, 3], [-2.1, 5, 3], [-1.3, -1.3, 3], [-1.5, -1.5, 3], [11.9, 5, 6.9],
@@ -205,12 +204,12 @@ def test_the_margin_is_round_the_area() -> None:
 
 
 @pytest.fixture
-def laz(rng: np.random.Generator, tmp_path: Path) -> Path:
+def laz(rng, tmp_path):
     write_laz(tmp_path / "reference.laz", [{"xyz_m": bank(rng, 3000)}], FRAME)
     return tmp_path / "reference.laz"
 
 
-def test_points_of_the_area_are_read(laz: Path) -> None:
+def test_points_of_the_area_are_read(laz):
     area = Area(polygon_en_m=np.array([[-1.0, -9], [1, -9], [1, 3], [-1, 3]]))
     read = read_reference(laz, FRAME, area, margin_m=2.0)
     points = read.points_m
@@ -228,14 +227,14 @@ def test_points_of_the_area_are_read(laz: Path) -> None:
         (Area(lowest_m=40.0), "ellipsoid and geoid"),
     ],
 )
-def test_an_area_without_reference_is_told(laz: Path, area: Area, answer: str) -> None:
+def test_an_area_without_reference_is_told(laz, area, answer):
     with pytest.raises(CoverageError, match=answer) as error:
         read_reference(laz, FRAME, area, margin_m=2.0)
     assert "none of 3,000 reference points" in str(error.value)
     assert "east -6.0 to 6.0 m" in str(error.value)
 
 
-def test_another_frame_or_no_points_are_told(laz: Path, tmp_path: Path) -> None:
+def test_another_frame_or_no_points_are_told(laz, tmp_path):
     other = LocalFrame(lat_deg=51.1, lon_deg=13.25, h_ell_m=300.0)
     with pytest.raises(InputError, match="frame"):
         read_reference(laz, other, Area(), margin_m=2.0)
@@ -251,7 +250,7 @@ def mesh_of(points: np.ndarray, **settings: Any) -> TriangleMesh:
     return mesh_reference(points, track_m=TRACK, settings=ReferenceSettings(**settings))[0]
 
 
-def test_clouds_that_cannot_be_meshed_are_told(rng: np.random.Generator) -> None:
+def test_clouds_that_cannot_be_meshed_are_told(rng):
     with pytest.raises(InputError, match="at least 3"):
         mesh_of(np.full((10, 3), np.nan))
     with pytest.raises(InputError, match="200 isolated"):
@@ -262,7 +261,7 @@ def test_clouds_that_cannot_be_meshed_are_told(rng: np.random.Generator) -> None
         mesh_reference(bank(rng, 1000), track_m=np.zeros((0, 3)), settings=ReferenceSettings())
 
 
-def test_a_cloud_of_plants_is_noted(rng: np.random.Generator) -> None:
+def test_a_cloud_of_plants_is_noted(rng):
     p = bank(rng, 3000)
     crown = rng.uniform([-5, -5, 5], [5, -1, 8], (60_000, 3))
     _, facts = mesh_reference(np.concatenate([p, crown]), track_m=TRACK, settings=ReferenceSettings())

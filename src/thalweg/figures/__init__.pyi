@@ -60,5 +60,6 @@ from .style import (
     scale_bar as scale_bar,
     show_plan as show_plan,
     styled as styled,
+    thinned as thinned,
     titled as titled,
 )

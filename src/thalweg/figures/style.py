@@ -9,7 +9,7 @@ from functools import cache, wraps
 from inspect import signature
 from io import BytesIO
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 import matplotlib as mpl
 import numpy as np
@@ -378,6 +378,7 @@ def _any_finite(values: ArrayLike | None) -> bool:
     return bool(np.isfinite(np.ma.filled(np.ma.asarray(values, np.float64), np.nan)).any())
 
 
+Rows = TypeVar("Rows", ArrayF, pd.DataFrame)
 _THOUSANDS: Final = re.compile(r"(?<![\w.,])\d{1,3}(?:,\d{3})+(?![\d,])")
 _NO_NUMBER: Final = re.compile(r"[+−-]?\b(?:nan|inf)\b")
 _LETTERS_ACROSS: Final = 100
@@ -744,6 +745,17 @@ def raster_maps(
     for ax in axes[:, 0]:
         ax.set_ylabel("north / m")
     return figure, list(axes.ravel()[:n])
+
+
+def thinned(rows: Rows, most: int) -> Rows:
+    """Every so many-th row of a table or array: ``most`` of them at most.
+
+    Examples
+    --------
+    >>> thinned(np.arange(7), 3)
+    array([0, 3, 6])
+    """
+    return rows[:: max(1, -(-len(rows) // most))]
 
 
 def plan_height_mm(span_x_m: float, span_y_m: float) -> float:

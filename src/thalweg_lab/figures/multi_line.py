@@ -109,7 +109,7 @@ def _space(space: Space, lines: pd.DataFrame, sensor: Sensor, colours: ScalarMap
     if len(seen):
         middle = seen[["x_mm", "y_mm", "z_mm"]].to_numpy(np.float64)[len(seen) // 2]
         path = path_to(eye, middle, sensor.window)
-        space.path(path, "black", lw=0.8, ls="--", zorder=6, gid="image ray")
+        space.path(path, "black", lw=0.8, ls="--", zorder=6)
     space.device(laser, "laser")
     space.device(eye, "camera")
     space.cross(np.array([low[0], low[1], 0.5 * float(lines["z_mm"].min())]), 30.0)
@@ -127,20 +127,18 @@ def _section(ax: Axes, lines: pd.DataFrame, sensor: Sensor, colours: ScalarMappa
         path = path_to(laser, place, sensor.window)
         look: Look = {"color": colours.to_rgba(np.array(number)), "lw": 0.9, "zorder": 3, "gid": "sub-beam"}
         ax.plot(path @ across, path[:, 2], **look)
-    spots(
-        ax, xyz @ across, xyz[:, 2], colours.to_rgba(middles["line"].to_numpy()), s=7, zorder=4, gid="middles"
-    )
+    spots(ax, xyz @ across, xyz[:, 2], colours.to_rgba(middles["line"].to_numpy()), s=7, zorder=4)
     seen = xyz[deepest & middles["in_picture"].to_numpy()]
     for place in seen[[0, -1]] if len(seen) else seen:
         path = path_to(eye, place, sensor.window)
-        ax.plot(path @ across, path[:, 2], color="black", lw=0.8, ls="--", zorder=2, gid="image ray")
+        ax.plot(path @ across, path[:, 2], color="black", lw=0.8, ls="--", zorder=2)
     for words, place in (("laser", laser), ("camera", eye)):
         at = float(place @ across), float(place[2])
         dots(ax, at[:1], at[1:], "black", "s", ms=4, zorder=5)
         ax.annotate(words, at, xytext=(5, 3), textcoords="offset points", fontsize=7)
     low = float(xyz[:, 2].min()) - 15.0
-    ax.axhspan(-thick, 0.0, color=GLASS_COLOUR, lw=0, zorder=0, gid="glass")
-    ax.axhspan(low, -thick, color=WATER_COLOUR, lw=0, zorder=0, gid="water")
+    ax.axhspan(-thick, 0.0, color=GLASS_COLOUR, lw=0, zorder=0)
+    ax.axhspan(low, -thick, color=WATER_COLOUR, lw=0, zorder=0)
     ax.set_ylim(low, None)
     ax.set_aspect("equal", adjustable="datalim")
     ax.set(xlabel="across the lines / mm", ylabel="z / mm")
@@ -170,11 +168,6 @@ def _picture(ax: Axes, lines: pd.DataFrame, sensor: Sensor, colours: ScalarMappa
     ax.set_aspect("equal")
     ax.set(xlabel="column / px", ylabel="row / px")
     ax.set_title("c: in the image")
-
-
-def draw_multi_line_geometry(*, lines: Path) -> Figure:
-    """Where the lines of a fifteen-line laser meet levels -> figure in space, in a section, in the image."""
-    return multi_line_geometry(pd.read_csv(lines))
 
 
 # ---------------------------------------------------------------- set-ups and images (T Fig. 4.4)
@@ -267,9 +260,9 @@ def _image(ax: Axes, seen: SeenObject, points: pd.DataFrame, colours: ScalarMapp
     has = points["line"] >= 0
     none, given = points[~has], points[has]
     if len(none):
-        dots(ax, none["x_px"], none["y_px"], SKY, ms=1.1, gid="without label", zorder=3)
+        dots(ax, none["x_px"], none["y_px"], SKY, ms=1.1, zorder=3)
     shades = colours.to_rgba(given["line"].to_numpy())
-    spots(ax, given["x_px"], given["y_px"], shades, s=1.2, gid="labelled", zorder=4)
+    spots(ax, given["x_px"], given["y_px"], shades, s=1.2, zorder=4)
     if points.empty:
         return
     xy, size = points[["x_px", "y_px"]].to_numpy(np.float64), np.array(seen.image.shape[1::-1])
@@ -296,7 +289,7 @@ def _setup(ax: Axes, seen: SeenObject, points: pd.DataFrame, sensor: Sensor, col
     look: Look = {"colours": _OBJECT_COLOUR, "inside": (low, high)}
     mesh_picture(seen.vertices_lcs_mm, seen.faces, IMAGES_VIEW, **look).show(ax)
     shades = colours.to_rgba(given["line"].to_numpy())
-    spots(ax, *pair(space.flat(places)), shades, s=0.8, gid="places", zorder=4)
+    spots(ax, *pair(space.flat(places)), shades, s=0.8, zorder=4)
     for words, place, colour in (("laser", laser, LIGHT_COLOUR), ("camera", eye, "black")):
         space.path(path_to(place, middle, window), colour, lw=1.0, ls="--", zorder=5)
         space.device(place, words)
@@ -313,7 +306,3 @@ def _setup(ax: Axes, seen: SeenObject, points: pd.DataFrame, sensor: Sensor, col
 def draw_multi_line_images(*, images: Path, points: Path) -> Figure:
     """Images of a fifteen-line laser and their points -> figure of set-ups and images."""
     return multi_line_images_view(read_objects(images), pd.read_csv(points))
-
-
-# ---------------------------------------------------------------- what a scan tells about the numbers of the
-# lines

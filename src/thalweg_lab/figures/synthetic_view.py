@@ -51,7 +51,7 @@ def _image(figure: Figure, ax: Axes, height_m: ArrayF32, brightness: ArrayU8) ->
     shade = brightness.astype(np.float64)[..., None] / 255.0
     rgb = np.repeat(0.35 + 0.65 * shade, 3, axis=2)
     rgb[on] = HEIGHT_MAP(norm(height_m[on]))[:, :3] * (BRIGHTEST + (DARKEST - BRIGHTEST) * shade[on])
-    ax.imshow(rgb, extent=(0, w, h, 0), interpolation="antialiased", gid="image")
+    ax.imshow(rgb, extent=(0, w, h, 0), interpolation="antialiased")
     ax.set_xticks([])
     ax.set_yticks([])
     ax.set_title(f"a: camera image, {w} × {h} pixels; cones coloured by height")
@@ -63,7 +63,7 @@ def _frame(figure: Figure, ax: Axes, points: pd.DataFrame, on_cone: np.ndarray, 
     xy, depth = view.apply(points_of(points))
     ring = np.searchsorted(rings, points["ring"].to_numpy())
     norm = BoundaryNorm(np.arange(len(rings) + 1) - 0.5, RING_MAP.N)
-    ax.plot(*xy[~on_cone].T, ".", ms=1.4, mew=0, color="0.65", rasterized=True, gid="others")
+    ax.plot(*xy[~on_cone].T, ".", ms=1.4, mew=0, color="0.65", rasterized=True)
     order = np.flatnonzero(on_cone)[np.argsort(depth[on_cone])]
     ax.scatter(
         xy[order, 0],
@@ -74,7 +74,6 @@ def _frame(figure: Figure, ax: Axes, points: pd.DataFrame, on_cone: np.ndarray, 
         norm=norm,
         lw=0,
         rasterized=True,
-        gid="frame",
         zorder=3,
     )
     width = fit_axes(ax, xy[on_cone])

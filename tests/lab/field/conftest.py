@@ -1,6 +1,5 @@
 """A calibration field that several tests look at."""
 
-from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -8,24 +7,24 @@ import pytest
 from thalweg_lab.instruments import LidarSensor
 from thalweg_lab.settings import TwinConfig
 from thalweg_lab.voyage import FieldRun
-from thalweg_lab.yard import Field, FieldScene, build_field, field_scene
+from thalweg_lab.yard import build_field, field_scene
 from thalweg_lab.yard_records import Scan, scan
 
 SEED = 4
 
 
 @pytest.fixture(scope="session")
-def field() -> Field:
+def field():
     return build_field(TwinConfig.of_size("field_tiny"), SEED)
 
 
 @pytest.fixture(scope="session")
-def yard(field: Field) -> FieldScene:
+def yard(field):
     return field_scene(field)
 
 
 @pytest.fixture(scope="session")
-def run_scan() -> Callable[..., Scan]:
+def run_scan():
     """Lidar recording of the run about the field: the capture of `simulate_lidar` before its packets."""
 
     def record(config: TwinConfig, seed: int, *, near_cones_m: float | None = 0.3, **mount: Any) -> Scan:

@@ -29,7 +29,7 @@ def moved(a: Field, b: Field) -> set[int]:
     return {marker for marker, k in there if not np.array_equal(there[marker, k], then[marker, k])}
 
 
-def test_a_toppled_cone_leans_with_its_sheets_after_the_reference(field: Field) -> None:
+def test_a_toppled_cone_leans_with_its_sheets_after_the_reference(field):
     before, after = fields(toppled_cone="C5", toppled_by_deg=8.0)
     assert moved(field, before) == set()
     assert moved(before, after) == set(range(32, 40))
@@ -40,7 +40,7 @@ def test_a_toppled_cone_leans_with_its_sheets_after_the_reference(field: Field) 
     assert fields(toppled_cone="C7")[1].cone("C7").axis_wcs[2] > -0.999
 
 
-def test_a_moved_marker_is_shifted_in_its_plane(field: Field) -> None:
+def test_a_moved_marker_is_shifted_in_its_plane(field):
     before, after = fields(moved_marker=74, moved_by_m=0.02)
     assert moved(before, after) == {74}
     shift = after.sheet(74).saddles_wcs_m() - before.sheet(74).saddles_wcs_m()
@@ -58,13 +58,13 @@ def test_a_moved_marker_is_shifted_in_its_plane(field: Field) -> None:
         (200, "marker 200 is"),
     ],
 )
-def test_a_marker_that_nobody_would_see_moved_is_refused(marker: int, found: str) -> None:
+def test_a_marker_that_nobody_would_see_moved_is_refused(marker, found):
     with pytest.raises(ConfigError, match=found) as caught:
         fields(moved_marker=marker)
     assert "70 to 79" in caught.value.cure
 
 
-def test_people_stand_near_cones_and_off_the_boats_way() -> None:
+def test_people_stand_near_cones_and_off_the_boats_way():
     config = small(effects={"passers_by": 5})
     places = {}
     for recording in ("run", "position 1", "position 2"):

@@ -1,7 +1,5 @@
 """INS, GNSS and truth of the run about the field are written by the same instruments as on the river."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -20,11 +18,11 @@ ANTENNA_M = np.array([0.10, 0.0, -0.45])
 
 
 @pytest.fixture(scope="module")
-def config() -> TwinConfig:
+def config():
     return TwinConfig.of_size("field_tiny")
 
 
-def test_gnss_positions_are_those_of_the_antenna_on_the_run(config: TwinConfig, tmp_path: Path) -> None:
+def test_gnss_positions_are_those_of_the_antenna_on_the_run(config, tmp_path):
     pos = tmp_path / "ppk.pos"
     simulate_gnss(config, SEED, FRAME, tmp_path / "rover.sbp", pos, lever_ics_antenna_m=ANTENNA_M)
     table = read_pos([pos]).positions
@@ -37,7 +35,7 @@ def test_gnss_positions_are_those_of_the_antenna_on_the_run(config: TwinConfig, 
     np.testing.assert_allclose(np.sqrt(np.mean(error**2, axis=0)), [0.02, 0.02, 0.03], rtol=0.36)
 
 
-def test_ins_states_are_those_of_the_run(config: TwinConfig, tmp_path: Path) -> None:
+def test_ins_states_are_those_of_the_run(config, tmp_path):
     path = tmp_path / "ins.anpp"
     simulate_ins(config, SEED, FRAME, path)
     states = read_anpp([path]).states
@@ -52,7 +50,7 @@ def test_ins_states_are_those_of_the_run(config: TwinConfig, tmp_path: Path) -> 
     assert np.abs(rates - run.rates_ics_radps(t)).max() < 0.002
 
 
-def test_the_true_trajectory_is_the_run(config: TwinConfig, tmp_path: Path) -> None:
+def test_the_true_trajectory_is_the_run(config, tmp_path):
     path = tmp_path / "trajectory.parquet"
     simulate_voyage(config, SEED, FRAME, path)
     trajectory = Trajectory.read(path)
@@ -60,7 +58,7 @@ def test_the_true_trajectory_is_the_run(config: TwinConfig, tmp_path: Path) -> N
     np.testing.assert_array_equal(trajectory.position_wcs_m, run.position_wcs_m(trajectory.t_gps_s))
 
 
-def test_the_capture_of_the_run_is_the_scan_in_memory(config: TwinConfig, run_scan, tmp_path: Path) -> None:
+def test_the_capture_of_the_run_is_the_scan_in_memory(config, run_scan, tmp_path):
     short = config.model_copy(update={"duration_s": 1.0})
     mount = {
         "R_ics_scs": rotation_opk(0.0, -np.pi / 2, 0.0),

@@ -7,13 +7,12 @@ from scipy.spatial.transform import Rotation
 from thalweg.core import rotation_enu_body
 from thalweg_lab.settings import TwinConfig
 from thalweg_lab.voyage import FieldRun, standing
-from thalweg_lab.yard import Field
 
 SEED = 4
 
 
 @pytest.fixture(scope="module", params=["field", "field_tiny"])
-def run(request: pytest.FixtureRequest) -> FieldRun:
+def run(request):
     return FieldRun(TwinConfig.of_size(request.param), SEED)
 
 
@@ -21,7 +20,7 @@ def times(run: FieldRun) -> np.ndarray:
     return np.arange(-5.0, run.config.duration_s + 5.0, 0.01)
 
 
-def test_speed_swings_and_turns_are_those_of_a_boat_moved_by_hand(run: FieldRun) -> None:
+def test_speed_swings_and_turns_are_those_of_a_boat_moved_by_hand(run):
     t = times(run)
     speed = np.linalg.norm(run.velocity_at(t)[:, :2], axis=1)
     # 0.65 m/s and 35 % less, 0.07 m/s less by the turn of the eight.
@@ -34,7 +33,7 @@ def test_speed_swings_and_turns_are_those_of_a_boat_moved_by_hand(run: FieldRun)
     assert np.mean(np.abs(rate) > 10) > 0.5
 
 
-def test_the_run_stays_in_the_middle_and_clear_of_the_cones(run: FieldRun, field: Field) -> None:
+def test_the_run_stays_in_the_middle_and_clear_of_the_cones(run, field):
     t = times(run)
     place = run.position_at(t)
     reach = np.linalg.norm(place[:, :2], axis=1)
@@ -48,7 +47,7 @@ def test_the_run_stays_in_the_middle_and_clear_of_the_cones(run: FieldRun, field
             assert np.linalg.norm((there - centre)[:, :2], axis=1).min() > radius - 0.15
 
 
-def test_rates_and_velocities_are_derivatives(run: FieldRun) -> None:
+def test_rates_and_velocities_are_derivatives(run):
     t, h = np.linspace(1, 30, 200), 1e-4
     R = rotation_enu_body(*run.angles_at(t))
     turned = Rotation.from_matrix(np.swapaxes(R, 1, 2) @ rotation_enu_body(*run.angles_at(t + h))).as_rotvec()
@@ -61,7 +60,7 @@ def test_rates_and_velocities_are_derivatives(run: FieldRun) -> None:
         np.testing.assert_allclose(slope, run.velocity_at(t, order), atol=2e-6)
 
 
-def test_the_boat_stands_where_the_settings_say() -> None:
+def test_the_boat_stands_where_the_settings_say():
     config = TwinConfig.of_size("field_tiny")
     for number, place in enumerate(config.field.positions, start=1):
         boat = standing(config, number)

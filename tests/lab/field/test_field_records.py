@@ -12,7 +12,7 @@ from thalweg.calibration.field import parse_field, read_field
 from thalweg.core import LocalFrame, read_table
 from thalweg_lab.settings import TwinConfig
 from thalweg_lab.voyage import standing
-from thalweg_lab.yard import Field, build_field
+from thalweg_lab.yard import build_field
 from thalweg_lab.yard_records import FIELD_POSES, description, simulate_field
 
 SEED = 4
@@ -32,7 +32,7 @@ def written(folder: Path, **field: Any) -> tuple[TwinConfig, Path]:
     return config, folder
 
 
-def test_the_description_can_be_read(tmp_path: Path, field: Field) -> None:
+def test_the_description_can_be_read(tmp_path, field):
     _, folder = written(tmp_path)
     known = read_field(folder / "logs/field.yaml")
     assert [c.name for c in known.cones] == [c.name for c in field.cones]
@@ -46,7 +46,7 @@ def test_the_description_can_be_read(tmp_path: Path, field: Field) -> None:
     assert known.antenna.offset_m == pytest.approx(-0.030, abs=0.004)  # sigma 1 mm
 
 
-def test_stated_values_err_by_their_sigmas() -> None:
+def test_stated_values_err_by_their_sigmas():
     config = TwinConfig.of_size("field_tiny")
     bars, targets, offsets = [], [], []
     for seed in range(60):
@@ -64,7 +64,7 @@ def test_stated_values_err_by_their_sigmas() -> None:
         assert np.sqrt(np.mean(np.square(errors))) == pytest.approx(1.0, abs=band)
 
 
-def test_the_truth_is_that_of_the_field(tmp_path: Path) -> None:
+def test_the_truth_is_that_of_the_field(tmp_path):
     config, folder = written(tmp_path, effects={"toppled_cone": "C1"})
     truth = json.loads((folder / "truth/field.json").read_text())
     assert (truth["kind"], truth["effects"]["toppled_cone"]) == ("thalweg twin field", "C1")

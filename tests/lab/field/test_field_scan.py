@@ -1,6 +1,5 @@
 """Lidar points of the field: consistent noise, the right cones, the same in memory as in the capture file."""
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -32,7 +31,7 @@ def off_cones(config: TwinConfig, scan: Scan, number: int) -> list[np.ndarray]:
     return [cone.distance_m(points[scan.cone == i]) for i, cone in enumerate(cones)]
 
 
-def test_without_noise_points_lie_on_their_cones() -> None:
+def test_without_noise_points_lie_on_their_cones():
     config = twin(QUIET)
     scan = static_scan(config, SEED, 1, revolutions=3, **MOUNT)
     assert (scan.kind == EchoKind.SURFACE).all()
@@ -44,7 +43,7 @@ def test_without_noise_points_lie_on_their_cones() -> None:
     assert 0 <= t[0] < t[-1] < 0.3
 
 
-def test_each_position_sees_six_cones_of_eight_with_the_noise_of_the_settings() -> None:
+def test_each_position_sees_six_cones_of_eight_with_the_noise_of_the_settings():
     config = twin()
     for number in (1, 2, 3):
         scan = static_scan(config, SEED, number, revolutions=20, **MOUNT)
@@ -59,7 +58,7 @@ def test_each_position_sees_six_cones_of_eight_with_the_noise_of_the_settings() 
         assert abs(every.mean()) < 1.6e-3
 
 
-def test_capture_files_hold_the_same_points(tmp_path: Path) -> None:
+def test_capture_files_hold_the_same_points(tmp_path):
     config = twin(position_s=0.4, effects={"passers_by": 4})
     paths = [tmp_path / f"position_{n}.pcap" for n in (1, 2, 3)]
     facts = simulate_positions(config, SEED, FRAME, paths, out_effects=tmp_path / "e.json", **MOUNT)
@@ -85,7 +84,7 @@ def test_capture_files_hold_the_same_points(tmp_path: Path) -> None:
         simulate_positions(config, SEED, FRAME, paths[:2], **MOUNT)
 
 
-def test_the_run_sees_every_cone_from_many_sides(run_scan) -> None:
+def test_the_run_sees_every_cone_from_many_sides(run_scan):
     config = twin().model_copy(update={"duration_s": 16.0})
     scan = run_scan(config, SEED, **MOUNT)
     run = FieldRun(config, SEED)
@@ -100,7 +99,7 @@ def test_the_run_sees_every_cone_from_many_sides(run_scan) -> None:
         assert np.linalg.norm(np.ptp(places[on], axis=0)) > 1.5, cone.name
 
 
-def test_people_stand_in_the_scan() -> None:
+def test_people_stand_in_the_scan():
     plain = static_scan(twin(), SEED, 1, revolutions=2, near_cones_m=None, **MOUNT)
     crowd = static_scan(twin(effects={"passers_by": 12}), SEED, 1, revolutions=2, near_cones_m=None, **MOUNT)
     assert (plain.cone >= 0).sum() > (crowd.cone >= 0).sum()

@@ -51,7 +51,7 @@ def looked_at(field: Field, yard: FieldScene, eye: np.ndarray, points: np.ndarra
     return marker, modules, distance - hits.t_hit_m
 
 
-def test_rays_meet_each_sheet_at_its_modules(field: Field, yard: FieldScene) -> None:
+def test_rays_meet_each_sheet_at_its_modules(field, yard):
     modules = np.random.default_rng(1).uniform(-0.4, 10.4, (40, 2))
     seen = 0
     for sheet in field.sheets:
@@ -69,7 +69,7 @@ def test_rays_meet_each_sheet_at_its_modules(field: Field, yard: FieldScene) -> 
     assert seen > 0.9 * len(field.sheets)
 
 
-def test_the_boat_sees_cones_and_enough_markers_to_port(field: Field, yard: FieldScene) -> None:
+def test_the_boat_sees_cones_and_enough_markers_to_port(field, yard):
     for number in (1, 2, 3):
         boat = standing(small(), number).T_wcs_ics
         camera = boat.apply(np.array([[-0.25, -0.1, -0.18]]))[0]

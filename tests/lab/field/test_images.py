@@ -55,7 +55,7 @@ def take(folder: Path, kind: str, twin: TwinConfig) -> pd.DataFrame:
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("images")
     for kind in ("reference", "positions", "run"):
         take(folder, kind, config())
@@ -78,7 +78,7 @@ def tags(path: Path) -> dict[int, np.ndarray]:
     return {} if ids is None else {int(i): c[0] + 0.5 for i, c in zip(ids.ravel(), corners, strict=True)}
 
 
-def test_stamps_stand_in_names_and_exif(folder: Path) -> None:
+def test_stamps_stand_in_names_and_exif(folder):
     for row in table(folder, "run").itertuples():
         moment = pd.Timestamp(row.stamp_us, unit="us")
         assert row.file == f"R{moment:%Y%m%d_%H%M%S}{moment.microsecond // 1000:03d}.jpg"
@@ -95,7 +95,7 @@ def test_stamps_stand_in_names_and_exif(folder: Path) -> None:
     assert float(photo[0x920A]) == pytest.approx(620 / 760 * 36, abs=0.06)
 
 
-def test_clock_offset_drift_and_jitter_are_those_of_the_configuration() -> None:
+def test_clock_offset_drift_and_jitter_are_those_of_the_configuration():
     twin = config(
         duration_s=3000.0, camera={**SMALL["camera"], "clock_offset_s": -3.25, "clock_drift_ppm": 40.0}
     )
@@ -116,7 +116,7 @@ def test_clock_offset_drift_and_jitter_are_those_of_the_configuration() -> None:
     np.testing.assert_allclose(steady.stamp_us * 1e-6 - utc, 2.3471, atol=6e-4)  # whole milliseconds
 
 
-def test_poses_are_those_of_boat_and_mount_at_the_true_time(folder: Path) -> None:
+def test_poses_are_those_of_boat_and_mount_at_the_true_time(folder):
     twin, run = config(), table(folder, "run")
     motion, mount = FieldRun(twin, SEED), mount_of(mounts()["camera"])
     t = run["t_true_gps_s"].to_numpy()
@@ -131,7 +131,7 @@ def test_poses_are_those_of_boat_and_mount_at_the_true_time(folder: Path) -> Non
 
 
 @pytest.mark.parametrize("kind", ["positions", "run"])
-def test_opencv_finds_the_tags_where_the_truth_projects_them(folder: Path, kind: str) -> None:
+def test_opencv_finds_the_tags_where_the_truth_projects_them(folder, kind):
     """Middles of tags, by software of other people, with the true pose and camera."""
     twin = config()
     camera, field = true_camera(twin.camera, "boat"), build_field(twin, SEED, when="boat")
@@ -149,14 +149,14 @@ def test_opencv_finds_the_tags_where_the_truth_projects_them(folder: Path, kind:
     assert np.median(np.hypot(*error.T)) < 0.6
 
 
-def test_a_marker_moves_between_reference_and_boat() -> None:
+def test_a_marker_moves_between_reference_and_boat():
     effects = {"moved_marker": 66, "moved_by_m": 0.1}
     moved = config(field={"position_s": 2.0, "effects": effects})
     before, after = (build_field(moved, SEED, when=w).sheet(66).centre_wcs_m() for w in ("reference", "boat"))
     assert np.linalg.norm(after - before) == pytest.approx(0.1, abs=1e-6)
 
 
-def test_the_tour_stays_clear_and_turns_the_camera() -> None:
+def test_the_tour_stays_clear_and_turns_the_camera():
     twin = TwinConfig.of_size("field_tiny")
     field = build_field(twin, SEED)
     poses = tour(field, twin.camera.reference, SEED)

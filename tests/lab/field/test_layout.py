@@ -7,7 +7,6 @@ import pytest
 
 from thalweg.core import Rigid, exp_rotation
 from thalweg_lab.settings import TwinConfig
-from thalweg_lab.yard import Field
 from thalweg_lab.yard.layout import SIDES, antenna_sheet
 
 UPRIGHT = (6, 7)
@@ -18,7 +17,7 @@ def small(**field: Any) -> TwinConfig:
     return TwinConfig.of_size("field_tiny", field=field)
 
 
-def test_six_cones_lie_on_both_sides_and_two_stand(field: Field) -> None:
+def test_six_cones_lie_on_both_sides_and_two_stand(field):
     for i, cone in enumerate(field.cones):
         to_middle = -cone.middle_wcs_m * [1, 1, 0]
         distance = np.linalg.norm(to_middle)
@@ -35,7 +34,7 @@ def test_six_cones_lie_on_both_sides_and_two_stand(field: Field) -> None:
         assert 30 < np.rad2deg(off_line) < 62
 
 
-def test_points_of_a_cone_fulfil_its_equation(field: Field) -> None:
+def test_points_of_a_cone_fulfil_its_equation(field):
     rng = np.random.default_rng(2)
     for cone in field.cones:
         p = cone.at(rng.uniform(0.1, 0.7, 30), rng.uniform(0, 7, 30)) - cone.apex_wcs_m
@@ -46,7 +45,7 @@ def test_points_of_a_cone_fulfil_its_equation(field: Field) -> None:
         assert np.rad2deg(cone.half_angle_rad) == pytest.approx(25.0, abs=0.4)  # sigma 0.1
 
 
-def test_the_mesh_lies_within_a_hundredth_of_a_millimetre_inside(field: Field) -> None:
+def test_the_mesh_lies_within_a_hundredth_of_a_millimetre_inside(field):
     for cone in field.cones:
         vertices, triangles = cone.mesh()
         side = triangles[: 2 * SIDES]
@@ -66,7 +65,7 @@ def test_the_mesh_lies_within_a_hundredth_of_a_millimetre_inside(field: Field) -
             assert (sense * np.cross(b - a, c - a) @ cone.axis_wcs > 0).all()
 
 
-def test_paper_keeps_its_lengths_on_a_cone(field: Field) -> None:
+def test_paper_keeps_its_lengths_on_a_cone(field):
     for sheet in (field.sheet(0), field.sheet(13), field.sheet(60)):
         for start, end in (((0, 0), (10, 10)), ((1, 9), (9, 2)), ((0, 5), (10, 5))):
             way = sheet.to_wcs(np.linspace(start, end, 2001))
@@ -76,7 +75,7 @@ def test_paper_keeps_its_lengths_on_a_cone(field: Field) -> None:
             assert length == pytest.approx(flat, rel=1e-8)
 
 
-def test_prints_are_not_mirrored_and_face_outward(field: Field) -> None:
+def test_prints_are_not_mirrored_and_face_outward(field):
     for sheet in field.sheets:
         u, v = (
             sheet.to_wcs([[5, 5], step])[1] - sheet.to_wcs([[5, 5]])[0] for step in ([5.01, 5], [5, 5.01])
@@ -89,7 +88,7 @@ def test_prints_are_not_mirrored_and_face_outward(field: Field) -> None:
             assert cone.distance_m(middle + 0.01 * sheet.normal_wcs())[0] == pytest.approx(0.01, abs=1e-6)
 
 
-def test_sheets_do_not_overlap_and_stay_on_their_cones(field: Field) -> None:
+def test_sheets_do_not_overlap_and_stay_on_their_cones(field):
     edge = np.array([[x, y] for x in np.linspace(-0.5, 10.5, 12) for y in (-0.5, 10.5)])
     edge = np.concatenate([edge, edge[:, ::-1]])
     for cone in field.cones:
@@ -107,7 +106,7 @@ def test_sheets_do_not_overlap_and_stay_on_their_cones(field: Field) -> None:
                 assert other is sheet or not inside.any(), (sheet.marker, other.marker)
 
 
-def test_bars_have_their_true_length_between_first_saddles(field: Field) -> None:
+def test_bars_have_their_true_length_between_first_saddles(field):
     saddles = field.saddles_wcs_m()
     assert len(saddles) == 4 * len(field.sheets)
     for bar in field.bars:
@@ -116,7 +115,7 @@ def test_bars_have_their_true_length_between_first_saddles(field: Field) -> None
         assert bar.length_m == pytest.approx(1.5, abs=1.5e-3)
 
 
-def test_the_antennas_marker_lies_on_the_antenna() -> None:
+def test_the_antennas_marker_lies_on_the_antenna():
     pose = Rigid(R=exp_rotation([0.1, -0.2, 2.0]), shift_m=np.array([1.0, 2.0, 0.6]))
     lever = np.array([0.1, 0.0, -0.45])
     sheet = antenna_sheet(small(), pose, lever)

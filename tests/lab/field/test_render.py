@@ -20,22 +20,22 @@ WIDE = TwinLens(size_px=(420, 320), focal_px=1300.0, principal_offset_px=(3.3, -
 
 
 @pytest.fixture(scope="module")
-def field() -> Field:
+def field():
     return build_field(TwinConfig.of_size("field_tiny"), SEED)
 
 
 @pytest.fixture(scope="module")
-def photographer(field: Field) -> Photographer:
+def photographer(field):
     return Photographer(Yard.of(field_scene(field), field.sheets), SUN)
 
 
 @pytest.fixture(scope="module")
-def rays() -> LensRays:
+def rays():
     return LensRays(true_camera(LENS, "test"))
 
 
 @pytest.fixture(scope="module")
-def wide() -> LensRays:
+def wide():
     return LensRays(true_camera(WIDE, "wide"))
 
 
@@ -51,7 +51,7 @@ def pixels_of(sheet: Sheet, modules: np.ndarray, camera: Camera, pose: Rigid) ->
 
 
 @pytest.mark.parametrize("model", ["perspective", "fisheye"])
-def test_the_ray_of_each_pixel_is_that_of_the_camera(model: str) -> None:
+def test_the_ray_of_each_pixel_is_that_of_the_camera(model):
     distortion = (-0.062, 0.081, 0.0004, -0.0003, -0.018) if model == "perspective" else (0.01, -0.003, 0, 0)
     lens = TwinLens(
         model=model,
@@ -101,9 +101,7 @@ def true_shares(
 
 
 @pytest.mark.parametrize(("marker", "roll_rad"), [(1, 0.0), (5, 0.0), (6, 0.4), (66, 0.0), (75, 0.2)])
-def test_a_pixel_sees_as_much_ink_as_lies_in_it(
-    field: Field, photographer: Photographer, wide: LensRays, marker: int, roll_rad: float
-) -> None:
+def test_a_pixel_sees_as_much_ink_as_lies_in_it(field, photographer, wide, marker, roll_rad):
     """Cone and board, straight and turned: the shares of 256 rays a pixel in float64."""
     sheet = field.sheet(marker)
     pose = looking(EYE, sheet.centre_wcs_m(), roll_rad=roll_rad)
@@ -135,9 +133,7 @@ def test_a_pixel_sees_as_much_ink_as_lies_in_it(
 # ---------------------------------------------------------------- light
 
 
-def test_the_picture_is_the_same_at_each_run_and_with_one_thread(
-    field: Field, photographer: Photographer, wide: LensRays
-) -> None:
+def test_the_picture_is_the_same_at_each_run_and_with_one_thread(field, photographer, wide):
     pose = toward(field, "C2")
     first = photographer.see(wide, pose).light
     threads = numba.get_num_threads()
@@ -149,7 +145,7 @@ def test_the_picture_is_the_same_at_each_run_and_with_one_thread(
     np.testing.assert_array_equal(first, again)
 
 
-def test_smear_and_blur_move_nothing() -> None:
+def test_smear_and_blur_move_nothing():
     """A bright point stays where it is; its centre of mass tells."""
     light = np.zeros((41, 41, 3), dtype=np.float32)
     light[20, 20] = 0.2
@@ -166,7 +162,7 @@ def test_smear_and_blur_move_nothing() -> None:
 # ---------------------------------------------------------------- other views
 
 
-def test_a_fisheye_sees_behind_itself_and_is_dark_outside_its_circle(field: Field) -> None:
+def test_a_fisheye_sees_behind_itself_and_is_dark_outside_its_circle(field):
     """190 degrees: the upright cone in the north stands 92 degrees off a view to the west by south."""
     camera = Camera(
         model="fisheye", size_px=(400, 400), parameters=np.array([119, 119, 201, 199, 0.01, -0.002, 0, 0])
@@ -193,7 +189,7 @@ def test_a_fisheye_sees_behind_itself_and_is_dark_outside_its_circle(field: Fiel
     assert (seen.image[lit].max(axis=1) > 40).mean() > 0.97
 
 
-def test_heights_of_cones_tell_their_colours(field: Field) -> None:
+def test_heights_of_cones_tell_their_colours(field):
     """P2 Fig. 4a: low cones blue, high ones red by the given colours; the ground keeps its own."""
     camera = Camera(
         model="perspective", size_px=(240, 180), parameters=np.array([170, 170, 120, 90, 0, 0, 0, 0, 0])

@@ -23,7 +23,7 @@ class Small:
 
 
 @pytest.fixture(scope="session")
-def small() -> Small:
+def small():
     sensor, settings = sized(paper_4(), SheetImage(), "tiny")
     return Small(sensor=sensor, settings=settings, clean=settings.clean())
 

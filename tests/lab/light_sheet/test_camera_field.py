@@ -30,7 +30,7 @@ def recorded(folder: Path, seed: int = 7, **changes: int) -> tuple[pd.DataFrame,
     return pd.read_csv(paths[0]), paths[1]
 
 
-def test_the_description_is_that_of_a_calibration_field(tmp_path: Path) -> None:
+def test_the_description_is_that_of_a_calibration_field(tmp_path):
     marks, path = recorded(tmp_path)
     field = read_field(path)
     assert field.layout.module_m == MODULE_M
@@ -45,7 +45,7 @@ def test_the_description_is_that_of_a_calibration_field(tmp_path: Path) -> None:
     assert ends <= set(marks["marker"])
 
 
-def test_pictures_are_taken_from_all_sides_and_rolled() -> None:
+def test_pictures_are_taken_from_all_sides_and_rolled():
     field = build_marker_field(1)
     poses = list(stations(field, 1, 24).values())
     view = np.array([p.R[:, 2] for p in poses])
@@ -63,7 +63,7 @@ def test_pictures_are_taken_from_all_sides_and_rolled() -> None:
     assert np.rad2deg(np.arccos(plain[0].R[:, 2] @ plain[3].R[:, 2])) < 5
 
 
-def test_marks_have_the_noise_that_they_state_and_fill_the_picture() -> None:
+def test_marks_have_the_noise_that_they_state_and_fill_the_picture():
     field = build_marker_field(1)
     poses = stations(field, 1, 24)
     marks = observe_field(field, CAMERA, poses, 1)
@@ -78,7 +78,7 @@ def test_marks_have_the_noise_that_they_state_and_fill_the_picture() -> None:
     assert still["y_px"].between(0, 1024).all()
 
 
-def test_a_sheet_on_a_post_hides_what_is_behind_it() -> None:
+def test_a_sheet_on_a_post_hides_what_is_behind_it():
     field = build_marker_field(1)
     post = max(field.sheets, key=lambda sheet: sheet.centre_wcs_m()[2])
     top = post.centre_wcs_m()

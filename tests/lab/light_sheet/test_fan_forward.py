@@ -21,7 +21,7 @@ def rays(sensor: Sensor):
     return grating.beams(np.repeat(np.arange(15), 21), np.tile(np.linspace(-0.24, 0.24, 21), 15))
 
 
-def test_the_way_of_a_sub_beam_is_the_shortest_in_time() -> None:
+def test_the_way_of_a_sub_beam_is_the_shortest_in_time():
     sensor = paper_4()
     w = sensor.window
     origins, directions = rays(sensor)
@@ -40,7 +40,7 @@ def test_the_way_of_a_sub_beam_is_the_shortest_in_time() -> None:
         assert found.x[:2] == pytest.approx((origins[k] + origins[k, 2] * down)[:2], abs=5e-4)
 
 
-def test_the_processing_has_the_same_rays_by_another_formula() -> None:
+def test_the_processing_has_the_same_rays_by_another_formula():
     sensor = tilted()
     origins, directions = rays(sensor)
     beams, closed = (
@@ -53,7 +53,7 @@ def test_the_processing_has_the_same_rays_by_another_formula() -> None:
         np.testing.assert_allclose(there, closed.at_depth(depth), atol=1e-11)
 
 
-def test_a_seen_point_and_its_slope_are_on_the_ray_of_the_pixel() -> None:
+def test_a_seen_point_and_its_slope_are_on_the_ray_of_the_pixel():
     sensor = tilted()
     beams = sub_beams(*rays(sensor), sensor.window)
     points = beams.at_depth(np.full(len(beams.slope), 130.0), sensor.window)
@@ -67,7 +67,7 @@ def test_a_seen_point_and_its_slope_are_on_the_ray_of_the_pixel() -> None:
     np.testing.assert_allclose(back.B, seen.slope[at], atol=1e-10)
 
 
-def test_what_never_gets_into_the_water_is_nan() -> None:
+def test_what_never_gets_into_the_water_is_nan():
     window = paper_4().window
     up = sub_beams(np.array([[0.0, 0.0, 20.0]]), np.array([[0.0, 0.6, 0.8]]), window)
     assert np.isnan(up.start_mm).all()

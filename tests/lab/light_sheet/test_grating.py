@@ -26,7 +26,7 @@ def _local(errors: GratingErrors, seed: int = 1, n: int = 41):
     return (origins - SENSOR.sheet.origin_lcs_mm) @ R, directions @ R, line
 
 
-def test_ideal_grating_makes_cones_in_equal_steps_of_sine() -> None:
+def test_ideal_grating_makes_cones_in_equal_steps_of_sine():
     origins, d, line = _local(IDEAL)
     np.testing.assert_allclose(np.linalg.norm(d, axis=1), 1.0, atol=1e-14)
     np.testing.assert_allclose(origins, 0.0, atol=1e-12)
@@ -36,7 +36,7 @@ def test_ideal_grating_makes_cones_in_equal_steps_of_sine() -> None:
     assert line.max() == 14
 
 
-def test_tilt_bends_lines_that_are_no_cones() -> None:
+def test_tilt_bends_lines_that_are_no_cones():
     """The grating equation holds in the frame of the tilted grating; here for the middle of the fan."""
     tilted = GratingErrors(**{**_fields(IDEAL), "tilt_deg": (3.0, 0.0)})
     _, d, _ = _local(tilted)
@@ -48,7 +48,7 @@ def test_tilt_bends_lines_that_are_no_cones() -> None:
     np.testing.assert_allclose(v[14, 20], np.sin(out), atol=1e-12)
 
 
-def test_cover_moves_origins_along_a_caustic() -> None:
+def test_cover_moves_origins_along_a_caustic():
     """Behind a plate a ray at t seems to come from T sin t (1 / sqrt(n^2 - sin^2 t) - 1 / cos t) aside."""
     covered = GratingErrors(**{**_fields(IDEAL), "cover_mm": 2.0})
     origins, d, _ = _local(covered)

@@ -17,7 +17,7 @@ def edges_mm(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
 
 
-def test_divided_faces_stay_joined_and_keep_their_side(rng: np.random.Generator) -> None:
+def test_divided_faces_stay_joined_and_keep_their_side(rng):
     body = stepped_object()
     vertices, faces = divided(body.vertices_mm, body.faces, 12.0)
     assert edges_mm(vertices, faces).max() <= 12.0
@@ -35,7 +35,7 @@ def test_divided_faces_stay_joined_and_keep_their_side(rng: np.random.Generator)
     )
 
 
-def test_noise_and_holes_are_as_stated(tmp_path) -> None:  # type: ignore[no-untyped-def]
+def test_noise_and_holes_are_as_stated(tmp_path):  # type: ignore[no-untyped-def]
     body = stepped_object()
     exact = Surface(reference_mesh(body, 1, resolution_mm=4.0, sigma_mm=0.0, holes=0, without=(1,)))
     mesh = reference_mesh(

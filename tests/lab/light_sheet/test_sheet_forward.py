@@ -19,7 +19,7 @@ def water_points(sensor: Sensor, n: int = 200) -> np.ndarray:
     return local @ sensor.window.R_lcs_window.T
 
 
-def test_a_seen_point_lies_on_the_ray_of_its_pixel() -> None:
+def test_a_seen_point_lies_on_the_ray_of_its_pixel():
     sensor = tilted(paper_4())
     points = water_points(sensor)
     seen = see(sensor, points)
@@ -31,7 +31,7 @@ def test_a_seen_point_lies_on_the_ray_of_its_pixel() -> None:
     assert np.allclose(seen.water_mm, np.linalg.norm(points - rays.start_mm, axis=1), atol=1e-9)
 
 
-def test_the_processing_finds_the_lit_point_again() -> None:
+def test_the_processing_finds_the_lit_point_again():
     sensor = tilted(paper_4())
     a = np.deg2rad(np.linspace(-40, 40, 81))
     origins = np.broadcast_to(sensor.sheet.origin_lcs_mm, (len(a), 3))

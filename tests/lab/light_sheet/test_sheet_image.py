@@ -51,7 +51,7 @@ def picture(small: Small, settings: SheetImage, posed: Posed | None = None, name
     return render_sheet_image(small.sensor, used, settings, generator(SEED, name)).astype(np.float64)
 
 
-def test_noise_is_that_of_the_electrons(small: Small) -> None:
+def test_noise_is_that_of_the_electrons(small):
     quiet = changed(small.clean, chip={"colour": "mono", "ambient_dn": 200.0})
     mean, noisy = (
         picture(small, quiet)[:, 400:],
@@ -63,7 +63,7 @@ def test_noise_is_that_of_the_electrons(small: Small) -> None:
     assert noisy.mean() == pytest.approx(mean.mean(), abs=0.5)
 
 
-def test_a_halo_pulls_a_saturated_line_along_the_laser(small: Small) -> None:
+def test_a_halo_pulls_a_saturated_line_along_the_laser(small):
     # 0.5 mm are 1.5 px of a small image
     halo = changed(small.clean, halo_share=0.4, halo_mm=1.5, chip={"colour": "mono", "peak_dn": 600.0})
     plain = changed(halo, halo_share=0.0)
@@ -83,7 +83,7 @@ def test_a_halo_pulls_a_saturated_line_along_the_laser(small: Small) -> None:
 
 
 @pytest.mark.parametrize("colour", ["bayer", "rgb", "mono"])
-def test_colours(small: Small, colour: str) -> None:
+def test_colours(small, colour):
     image = picture(small, changed(small.clean, chip={"colour": colour}))
     assert image.shape == ((512, 512, 3) if colour == "rgb" else (512, 512))
     if colour == "bayer":
@@ -93,7 +93,7 @@ def test_colours(small: Small, colour: str) -> None:
         assert blue / green == pytest.approx(0.2, abs=0.03)
 
 
-def test_daylight_shows_the_marks_where_they_are(small: Small) -> None:
+def test_daylight_shows_the_marks_where_they_are(small):
     at, _ = on_sheet(small.sensor, small.sensor.sheet, 125.0)
     posed = Posed(surface=panel(markers=True), shift_lcs_mm=at)
     day = changed(small.clean, chip={"colour": "mono", "ambient_dn": 200.0, "peak_dn": 0.001})

@@ -23,9 +23,7 @@ def on_panel(small: Small, depth_mm: float, tilt_deg: float = 0.0) -> Posed:
 @pytest.mark.parametrize(
     ("depth_mm", "tilt_deg"), [(60.0, 0.0), (122.7, 0.0), (200.0, 0.0), (125.0, 12.0), (125.0, -12.0)]
 )
-def test_the_line_of_the_image_is_the_line_of_the_geometry(
-    small: Small, depth_mm: float, tilt_deg: float
-) -> None:
+def test_the_line_of_the_image_is_the_line_of_the_geometry(small, depth_mm, tilt_deg):
     posed = on_panel(small, depth_mm, tilt_deg)
     image = laser_light(small.sensor, posed, small.clean)
     rows = np.arange(len(image)) + 0.5
@@ -40,7 +38,7 @@ def test_the_line_of_the_image_is_the_line_of_the_geometry(
     assert np.abs(row_centres(image)[whole] - exact[whole]).max() < 0.002
 
 
-def test_defocus_moves_no_line(small: Small) -> None:
+def test_defocus_moves_no_line(small):
     posed = on_panel(small, 75.0)
     blurred = small.clean.model_copy(update={"lens": small.clean.lens.model_copy(update={"defocus": True})})
     sharp_image, image = (
@@ -61,7 +59,7 @@ def object_points(posed: Posed, line: LinePoints) -> ArrayF:
     return posed.to_object(line.xyz_lcs_mm)
 
 
-def test_a_step_throws_the_shadow_that_its_height_throws(small: Small) -> None:
+def test_a_step_throws_the_shadow_that_its_height_throws(small):
     posed = steps(small)
     line = line_on(small.sensor, posed, small.sensor.sheet, DENSE)
     points = object_points(posed, line)
@@ -80,7 +78,7 @@ def test_a_step_throws_the_shadow_that_its_height_throws(small: Small) -> None:
     assert not dark.any()
 
 
-def test_the_camera_misses_what_an_object_hides(small: Small) -> None:
+def test_the_camera_misses_what_an_object_hides(small):
     ground = STEP_HEIGHTS_MM[-1] - STEP_SIZE_MM[-1]
     at, _ = on_sheet(small.sensor, small.sensor.sheet, 160.0)
     # the object stands beside the line on the ground, on the side of the camera
@@ -99,7 +97,7 @@ def test_the_camera_misses_what_an_object_hides(small: Small) -> None:
 
 
 @pytest.mark.parametrize("levels_mm", [(0.0, -90.0), (0.0, -45.0, -90.0)])
-def test_the_light_falls_through_where_the_grid_has_gaps(small: Small, levels_mm: tuple[float, ...]) -> None:
+def test_the_light_falls_through_where_the_grid_has_gaps(small, levels_mm):
     at, _ = on_sheet(small.sensor, small.sensor.sheet, 60.0)
     pattern = GridPattern.regular(levels_mm=levels_mm)
     posed = Posed(

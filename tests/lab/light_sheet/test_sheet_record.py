@@ -1,14 +1,13 @@
 """Files of a series: read by the project's own readers, the truth apart, the same bytes again."""
 
 import json
-from pathlib import Path
 
 import cv2
 import numpy as np
 import pandas as pd
 import pytest
 
-from tests.lab.light_sheet.conftest import SEED, Small
+from tests.lab.light_sheet.conftest import SEED
 from thalweg.clocks import read_number_columns
 from thalweg.clocks.ties import match_pulses
 from thalweg.core import LocalFrame, read_table
@@ -23,7 +22,7 @@ START = 3.0e8
 
 
 @pytest.fixture(scope="module")
-def scan(small: Small, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def scan(small, tmp_path_factory):
     folder = tmp_path_factory.mktemp("scan")
     plan = scan_plan(small.sensor, SEED, stepped_object(), lines=9, step_mm=4.0)
     record(
@@ -40,7 +39,7 @@ def scan(small: Small, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_stamps_and_pulses_find_each_other(scan: Path) -> None:
+def test_stamps_and_pulses_find_each_other(scan):
     stamps = read_image_stamps(scan / "images").table
     (pulses,) = read_number_columns(scan / "trigger_pulses.csv", ("t_gps_s",))
     match = match_pulses(stamps.t_device_s.to_numpy(), pulses)
@@ -52,7 +51,7 @@ def test_stamps_and_pulses_find_each_other(scan: Path) -> None:
     assert -match.offset_s == pytest.approx(3.417, abs=0.005)  # jitter of 2 ms
 
 
-def test_the_truth_lies_on_the_bright_line(scan: Path) -> None:
+def test_the_truth_lies_on_the_bright_line(scan):
     truth, _ = read_table(scan / "truth" / "lines.parquet", LINE_TRUTH)
     name = truth.file.iloc[0]
     image = cv2.imread(str(scan / "images" / name), cv2.IMREAD_UNCHANGED)
@@ -63,7 +62,7 @@ def test_the_truth_lies_on_the_bright_line(scan: Path) -> None:
     assert at.mean() > 2 * aside.mean()
 
 
-def test_what_the_camera_gives_holds_no_truth(scan: Path) -> None:
+def test_what_the_camera_gives_holds_no_truth(scan):
     files = {path.relative_to(scan).parts[0] for path in scan.rglob("*") if path.is_file()}
     assert files == {"images", "images.csv", "trigger_pulses.csv", "six_dof", "truth"}
     assert pd.read_csv(scan / "images.csv").columns.tolist() == ["file", "object"]
@@ -74,7 +73,7 @@ def test_what_the_camera_gives_holds_no_truth(scan: Path) -> None:
     assert json.loads((scan / "truth" / "plan.json").read_text())["images"] == 9
 
 
-def test_each_image_has_speckle_and_noise_of_its_own(small: Small, tmp_path: Path) -> None:
+def test_each_image_has_speckle_and_noise_of_its_own(small, tmp_path):
     plan = panel_plan(small.sensor, depths_mm=(125.0, 125.0))
     names = record(
         plan, small.sensor, small.settings, SEED, tmp_path, tmp_path / "truth", FRAME, start_gps_s=START
@@ -90,7 +89,7 @@ def test_each_image_has_speckle_and_noise_of_its_own(small: Small, tmp_path: Pat
     assert np.abs(one - two).max() > 30  # speckle
 
 
-def test_the_grid_is_described_as_the_calibration_reads_it(small: Small, tmp_path: Path) -> None:
+def test_the_grid_is_described_as_the_calibration_reads_it(small, tmp_path):
     plan = calibration_plan(small.sensor, SEED, positions=2)
     record(plan, small.sensor, small.clean, SEED, tmp_path, tmp_path / "truth", FRAME, start_gps_s=START)
     for k, depths in enumerate(plan.facts["depths_mm"]):

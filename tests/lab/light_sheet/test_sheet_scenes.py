@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.lab.light_sheet.conftest import SEED, Small
+from tests.lab.light_sheet.conftest import SEED
 from thalweg_lab.tank import (
     SIGMA_PX,
     Posed,
@@ -29,7 +29,7 @@ from thalweg_lab.tank.objects import (
 from thalweg_lab.tank.plan import boat_path, strip_plan
 
 
-def test_the_stepped_object_is_that_of_the_paper() -> None:
+def test_the_stepped_object_is_that_of_the_paper():
     surface = stepped_object()
     body = surface.vertices_mm[surface.faces[surface.material == 0]].reshape(-1, 3)
     assert np.ptp(body, axis=0) == pytest.approx(STEP_SIZE_MM, abs=1e-9)
@@ -44,7 +44,7 @@ def test_the_stepped_object_is_that_of_the_paper() -> None:
     assert hits.xyz_lcs_mm[:, 2] == pytest.approx([0.006, 0.006, 40.135 - 45.0], abs=1e-9)
 
 
-def test_the_wreck_has_its_size_its_holes_and_its_spars() -> None:
+def test_the_wreck_has_its_size_its_holes_and_its_spars():
     bare, whole = (wreck(SEED, spars=spars, ground=False, step_mm=2.0) for spars in (False, True))
     low, high = whole.vertices_mm.min(axis=0), whole.vertices_mm.max(axis=0)
     # relief of the planks: 2 % of the radius
@@ -61,7 +61,7 @@ def test_the_wreck_has_its_size_its_holes_and_its_spars() -> None:
     assert not np.array_equal(wreck(SEED + 1, ground=False, step_mm=2.0).vertices_mm, whole.vertices_mm)
 
 
-def test_the_line_crosses_the_object_in_a_scan(small: Small) -> None:
+def test_the_line_crosses_the_object_in_a_scan(small):
     plan = scan_plan(small.sensor, SEED, stepped_object(), lines=7, step_mm=4.0)
     assert len(plan) == 7
     at = []
@@ -73,7 +73,7 @@ def test_the_line_crosses_the_object_in_a_scan(small: Small) -> None:
     assert np.abs(np.array(at)[:, 0]).max() < 5
 
 
-def test_the_grid_lies_at_its_depths_under_a_tilted_window(small: Small) -> None:
+def test_the_grid_lies_at_its_depths_under_a_tilted_window(small):
     sensor = true_sensor(small.sensor, SEED, tilt_deg=0.5)
     plan = calibration_plan(sensor, SEED, positions=3)
     a = np.deg2rad(np.linspace(-20, 20, 201))
@@ -86,7 +86,7 @@ def test_the_grid_lies_at_its_depths_under_a_tilted_window(small: Small) -> None
         assert (np.abs(found - depths[1]) < 1).any()
 
 
-def test_poses_of_the_panel_reach_the_published_sigmas(small: Small) -> None:
+def test_poses_of_the_panel_reach_the_published_sigmas(small):
     path = scan_plan(small.sensor, SEED, stepped_object(), lines=5, step_mm=4.0).path
     marks = build_panel(SEED)
     tripod = set_up(path, marks)
@@ -106,7 +106,7 @@ def test_poses_of_the_panel_reach_the_published_sigmas(small: Small) -> None:
     assert (seen.xy_px[seen.image == 2] - exact).std() == pytest.approx(SIGMA_PX, rel=0.3)  # 60 numbers
 
 
-def test_a_strip_under_a_boat(small: Small) -> None:
+def test_a_strip_under_a_boat(small):
     plan = strip_plan(small.sensor, SEED, lines=6, step_mm=3.0)
     for k, posed in enumerate(plan.scenes()):
         line = line_on(small.sensor, posed, small.sensor.sheet, np.deg2rad(np.linspace(-25, 25, 51)))
@@ -114,7 +114,7 @@ def test_a_strip_under_a_boat(small: Small) -> None:
         assert 100 < np.median(small.sensor.window.depth_mm(line.xyz_lcs_mm)) < 160
 
 
-def test_a_trajectory_in_the_world_becomes_the_path_of_a_strip() -> None:
+def test_a_trajectory_in_the_world_becomes_the_path_of_a_strip():
     own = drift(
         SEED,
         lines=5,

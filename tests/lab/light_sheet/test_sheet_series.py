@@ -30,7 +30,7 @@ def station(folder: Path, seed: int = 7) -> tuple[Path, Path, Path]:
 # ---------------------------------------------------------------- design and truth
 
 
-def test_the_design_is_off_by_what_its_sigmas_say() -> None:
+def test_the_design_is_off_by_what_its_sigmas_say():
     """Lens, glass and media: errors over seeds against the design's own sigmas."""
     known = [PARAMETERS.index(name) for name in ("fx", "cx", "cy", "glass_mm", "n_glass", "n_water")]
     z = []
@@ -45,7 +45,7 @@ def test_the_design_is_off_by_what_its_sigmas_say() -> None:
     assert np.abs(np.corrcoef(np.transpose(z)) - np.eye(len(known))).max() < 0.55
 
 
-def test_the_laser_is_approximate_and_all_pixels_are_square() -> None:
+def test_the_laser_is_approximate_and_all_pixels_are_square():
     basin = Basin.of(TINY, 7)
     np.testing.assert_array_equal(basin.design.vector()[LASER], paper_4().vector()[LASER])
     off = (basin.true.vector() - basin.design.vector())[LASER]
@@ -62,7 +62,7 @@ def test_the_laser_is_approximate_and_all_pixels_are_square() -> None:
 # ---------------------------------------------------------------- files
 
 
-def test_the_camera_station_is_in_metres_in_a_frame_of_its_own(tmp_path: Path) -> None:
+def test_the_camera_station_is_in_metres_in_a_frame_of_its_own(tmp_path):
     sensor, marks, points = station(tmp_path)
     basin = Basin.of(TINY, 7)
     read = read_sensor(sensor)
@@ -89,7 +89,7 @@ def test_the_camera_station_is_in_metres_in_a_frame_of_its_own(tmp_path: Path) -
     assert table[["x_px", "y_px"]].to_numpy().max() < 513
 
 
-def test_the_grid_and_its_depths(tmp_path: Path) -> None:
+def test_the_grid_and_its_depths(tmp_path):
     record_series(TINY, 7, "calibration", FRAME, tmp_path, tmp_path / "truth")
     (image,) = (tmp_path / "images").iterdir()
     assert cv2.imread(str(image), cv2.IMREAD_UNCHANGED).shape == (512, 512)
@@ -106,7 +106,7 @@ def test_the_grid_and_its_depths(tmp_path: Path) -> None:
     np.testing.assert_allclose(sensor.vector(), Basin.of(TINY, 7).true.vector(), rtol=1e-12, atol=1e-12)
 
 
-def test_panels_and_the_calliper(tmp_path: Path) -> None:
+def test_panels_and_the_calliper(tmp_path):
     twin = TwinConfig.of_size("basin_tiny", light_sheet={"panels_mm": [120.0, 80.0]})
     record_series(twin, 7, "panels", FRAME, tmp_path, tmp_path / "truth")
     table = read_panels(tmp_path / "images.csv")

@@ -22,7 +22,7 @@ def contrast_in_theory(optics: SpeckleOptics) -> float:
 
 
 @pytest.mark.parametrize("optics", [OPTICS, SpeckleOptics(f_number=16, polarisations=1)])
-def test_contrast_and_mean_are_those_of_the_theory(optics: SpeckleOptics) -> None:
+def test_contrast_and_mean_are_those_of_the_theory(optics):
     factor = np.concatenate([speckle_factor((256, 256), optics, generator(s, "speckle")) for s in range(4)])
     assert factor.min() >= 0
     # 512^2 pixels, of which about every second is independent: 0.4 % for the mean of contrast 0.9
@@ -31,7 +31,7 @@ def test_contrast_and_mean_are_those_of_the_theory(optics: SpeckleOptics) -> Non
     assert factor.std() == pytest.approx(1.025 * contrast_in_theory(optics), rel=0.025)
 
 
-def test_windows_of_a_tile_fit_together_and_a_moved_tile_is_another_pattern() -> None:
+def test_windows_of_a_tile_fit_together_and_a_moved_tile_is_another_pattern():
     tile = SpeckleTile.make(OPTICS, generator(5, "speckle"), size_px=64)
     whole = tile.window(-10, 50, 100, 120)
     np.testing.assert_array_equal(tile.window(20, 90, 30, 40), whole[30:60, 40:80])
@@ -43,7 +43,7 @@ def test_windows_of_a_tile_fit_together_and_a_moved_tile_is_another_pattern() ->
     assert np.mean(left * right) / np.mean(left**2) == pytest.approx(0.17, abs=0.15)  # 512 pairs: 3 sigma
 
 
-def test_a_line_fluctuates_about_its_mean_and_lies_where_it_was_put() -> None:
+def test_a_line_fluctuates_about_its_mean_and_lies_where_it_was_put():
     centre = np.full(1500, 30.37)
     mean = mean_line_intensity(centre, 60, 5, OPTICS)
     seen = line_intensity(centre, 60, 5, OPTICS, generator(3, "speckle"))
@@ -58,7 +58,7 @@ def test_a_line_fluctuates_about_its_mean_and_lies_where_it_was_put() -> None:
     assert np.sum(weight * columns) / np.sum(weight) == pytest.approx(30.37, abs=0.01)  # the cut is uneven
 
 
-def test_grey_values_have_shot_noise_and_an_end() -> None:
+def test_grey_values_have_shot_noise_and_an_end():
     flat = np.full((300, 300), 0.5)
     grey = grey_values(flat, GreyValues(peak_dn=200), generator(1, "noise")).astype(float)
     assert grey.mean() == pytest.approx(103, abs=0.05)  # 90 000 pixels of 1.4: 0.005

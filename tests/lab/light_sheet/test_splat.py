@@ -15,7 +15,7 @@ def drawn(x: float, y: float, sigma: float, size: int = 40) -> np.ndarray:
 
 @pytest.mark.parametrize("sigma", [0.3, 0.5, 1.3])
 @pytest.mark.parametrize("part", [0.0, 0.13, 0.5, 0.77])
-def test_a_point_keeps_its_place(part: float, sigma: float) -> None:
+def test_a_point_keeps_its_place(part, sigma):
     # a finer grid without the half of its step shifts everything by 0.25 px: a pixel covers i to i + 1
     image = drawn(19.0 + part, 21.0 - part, sigma)
     centres = np.arange(40) + 0.5
@@ -26,7 +26,7 @@ def test_a_point_keeps_its_place(part: float, sigma: float) -> None:
     assert (image.sum(axis=1) @ centres) / image.sum() == pytest.approx(21.0 - part, abs=close)
 
 
-def test_a_point_keeps_its_light_and_width() -> None:
+def test_a_point_keeps_its_light_and_width():
     image = drawn(20.3, 20.6, 1.2)
     assert image.sum() == pytest.approx(2.5, rel=1e-6)  # float32
     x = np.arange(41)

@@ -71,7 +71,7 @@ def _enumerated(unary, depth, missing, skip, smooth, cap):
     return out
 
 
-def test_row_marginals_are_those_of_enumeration() -> None:
+def test_row_marginals_are_those_of_enumeration():
     rng = np.random.default_rng(3)
     rows, unary, depth, expected = [], [], [], []
     missing = rng.uniform(0.2, 1.0, 5)
@@ -86,7 +86,7 @@ def test_row_marginals_are_those_of_enumeration() -> None:
     np.testing.assert_allclose(got, np.concatenate(expected), rtol=1e-12)
 
 
-def test_links_follow_a_slope_and_end_at_gaps() -> None:
+def test_links_follow_a_slope_and_end_at_gaps():
     row = np.repeat(np.arange(0, 120, 4), 2)
     x = np.stack([100 + 0.25 * np.arange(0, 120, 4), 160 - 0.1 * np.arange(0, 120, 4)], axis=1).ravel()
     segment = link_rows(row, x, 4, 1.5, 3)
@@ -97,7 +97,7 @@ def test_links_follow_a_slope_and_end_at_gaps() -> None:
     assert len(np.unique(link_rows(row[far], x[far], 4, 1.5, 3))) == 4
 
 
-def test_map_knows_occupied_free_and_hidden() -> None:
+def test_map_knows_occupied_free_and_hidden():
     """A plane at 100 mm and vertical rays: on it, above, below, beside it; the own line does not count."""
     surface = SurfaceMap(MapSettings(low_mm=(0.0, 0.0), high_mm=(40.0, 20.0)))
     x, y = np.meshgrid(np.arange(0.25, 20, 0.5), np.arange(0.25, 20, 0.5))
@@ -119,7 +119,7 @@ def test_map_knows_occupied_free_and_hidden() -> None:
     assert state[0, 1] == SUPPORTED
 
 
-def test_single_images_label_only_what_they_know(regular, irregular) -> None:
+def test_single_images_label_only_what_they_know(regular, irregular):
     """Irregular lines: 0.99 of what is labelled. Regular lines: one image knows little on a wreck."""
     assert spacing_irregularity(regular[1]) < 0.05 < 0.10 < spacing_irregularity(irregular[1])
     given, share = {}, {}
@@ -138,7 +138,7 @@ def test_single_images_label_only_what_they_know(regular, irregular) -> None:
     assert share["regular"] < 0.25
 
 
-def test_scan_of_a_wreck(irregular) -> None:
+def test_scan_of_a_wreck(irregular):
     """Acceptance 16 (irregular >= 0.97), and the goal of 0.99, on the first third of a scan."""
     scan = simulate_scan(
         PAIR, *irregular, Setting(irregular=0.3, kind="wreck", start_mm=80.0, end_mm=35.0), 2
@@ -162,7 +162,7 @@ def test_scan_of_a_wreck(irregular) -> None:
         assert np.std(depth - seen.depth_mm[at]) < 0.1
 
 
-def test_shift_of_all_labels_is_flagged(regular) -> None:
+def test_shift_of_all_labels_is_flagged(regular):
     """The ground at the start mistaken by one line: no label is given out (acceptance 16, second part)."""
     setting = Setting(kind="steps", start_mm=80.0, end_mm=53.0, ground_error_mm=6.5, sigma_ground_mm=0.0)
     scan = simulate_scan(PAIR, *regular, setting, 1)
@@ -172,7 +172,7 @@ def test_shift_of_all_labels_is_flagged(regular) -> None:
     assert found.counts()["SCAN_SHIFT_UNRESOLVED"] > 0.5 * len(scan.truth)
 
 
-def test_wrong_input_is_refused(regular) -> None:
+def test_wrong_input_is_refused(regular):
     with pytest.raises(GeometryError, match="out of order"):
         Detections(row=np.array([1, 0]), x_px=np.array([1.0, 2.0]))
     with pytest.raises(GeometryError, match="1 not finite"):

@@ -49,7 +49,7 @@ def thesis(errors: GratingErrors, seed: int = 1) -> tuple[LevelPoints, LevelPoin
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_derivatives_are_those_of_differences(kind: str) -> None:
+def test_derivatives_are_those_of_differences(kind):
     points, _ = thesis(GratingErrors())
     model = line_model(kind, nominal())
     x = model.start + 1e-3 * np.random.default_rng(0).standard_normal(len(model.start))
@@ -70,7 +70,7 @@ def test_derivatives_are_those_of_differences(kind: str) -> None:
             np.testing.assert_allclose(analytic, numeric, atol=2e-6 * np.abs(numeric).max() + 1e-9)
 
 
-def test_error_is_the_distance_in_the_image() -> None:
+def test_error_is_the_distance_in_the_image():
     """A point moved by half a pixel along its measuring direction errs by half a pixel more."""
     points, _ = thesis(GratingErrors())
     moved = replace(
@@ -87,7 +87,7 @@ def test_error_is_the_distance_in_the_image() -> None:
     np.testing.assert_allclose(errors[1] - errors[0], 0.5, atol=0.01)
 
 
-def test_all_six_parameters_of_single_lines_are_refused() -> None:
+def test_all_six_parameters_of_single_lines_are_refused():
     """A fan turned in its own plane is the same fan: 6 n parameters (T 4.2.1) have n defects, C083."""
     points, _ = thesis(MILD)
     six = points.of(np.isin(points.line, SIX))
@@ -99,7 +99,7 @@ def test_all_six_parameters_of_single_lines_are_refused() -> None:
     assert caught.value.parameters == tuple(f"line_{j}_phi_rad" for j in SIX)
 
 
-def test_comparison_prefers_the_hierarchical_model() -> None:
+def test_comparison_prefers_the_hierarchical_model():
     points, planes = thesis(GratingErrors())
     table = compare_models(SENSOR, points, nominal(), ("regular", "hierarchical"), planes=planes).set_index(
         "model"
@@ -118,7 +118,7 @@ def test_comparison_prefers_the_hierarchical_model() -> None:
     assert alone["plane_rmse_mm"][0] < alone["plane_rmse_mm"][1] < table.loc["regular", "plane_rmse_mm"]
 
 
-def test_estimated_deviations_are_those_of_the_twin() -> None:
+def test_estimated_deviations_are_those_of_the_twin():
     """Variance components: spacing 0.03 degrees and offsets of (0.10, 0.05, 0.05) mm, on three levels."""
     found = []
     for seed in (1, 2):
@@ -130,7 +130,7 @@ def test_estimated_deviations_are_those_of_the_twin() -> None:
     assert 0.02 < np.mean([each["line_origin"] for each in found]) < 0.12
 
 
-def test_joint_centre_is_tested() -> None:
+def test_joint_centre_is_tested():
     """C327: with offsets of the origins there is no joint centre; without them, cones have one."""
     perfect = GratingErrors(
         tilt_deg=(0.0, 0.0), grooves_deg=0.0, cover_mm=0.0, sigma_origin_mm=(0.0, 0.0, 0.0), sigma_bow=0.0
@@ -150,13 +150,13 @@ def test_joint_centre_is_tested() -> None:
     assert p["perfect"]["joint_centre"] < 1e-4
 
 
-def test_lines_without_pairs_are_named() -> None:
+def test_lines_without_pairs_are_named():
     points, _ = thesis(MILD)
     with pytest.raises(GeometryError, match=r"\[0, 1, 2, 3, 10, 11, 12, 13, 14\].*one level only"):
         calibrate_lines(SENSOR, points, line_model("individual", nominal()))
 
 
-def test_wrong_numbering_is_refused() -> None:
+def test_wrong_numbering_is_refused():
     points, _ = thesis(MILD)
     with pytest.raises(GeometryError, match="points of the lines"):
         calibrate_lines(SENSOR, points, line_model("diode", nominal(np.arange(14))))
@@ -164,7 +164,7 @@ def test_wrong_numbering_is_refused() -> None:
         replace(points, line=np.random.default_rng(0).permutation(points.line))
 
 
-def test_the_criteria_by_hand(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_criteria_by_hand(monkeypatch):
     """100 values, 5 unknowns, chi2 = 100 e: n ln(chi2 / n) is 100, to which 2 k or k ln n is added."""
     points, _ = thesis(MILD)
     monkeypatch.setattr(comparison, "_sizes", lambda _: (100, 5.0, 100 * np.e))

@@ -1,8 +1,5 @@
 """Riverbeds of many surveys: one survey in small, and what is judged consistent."""
 
-from collections.abc import Iterator
-from pathlib import Path
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -14,7 +11,7 @@ from thalweg_lab.studies.bed_study import MISTAKES, NONE, surveyed, verdicts
 
 
 @pytest.fixture(autouse=True, scope="module")
-def _short_search() -> Iterator[None]:
+def _short_search():
     """How well ranges are found is judged in tests/bathymetry."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("thalweg.bathymetry.variogram._STEPS", 12)
@@ -25,7 +22,7 @@ COLUMNS = ["n", "observed_m2", "predicted_m2", "normalised", "outside", "error_m
 
 
 @pytest.fixture(scope="module")
-def rows(tmp_path_factory: pytest.TempPathFactory) -> pd.DataFrame:
+def rows(tmp_path_factory):
     """A survey of 30 s, processed rightly and with a wrong speed of sound."""
     twin = bed_study.TWIN | {"duration_s": 30.0}
     with pytest.MonkeyPatch.context() as patch:
@@ -33,7 +30,7 @@ def rows(tmp_path_factory: pytest.TempPathFactory) -> pd.DataFrame:
         return surveyed(4, tmp_path_factory.mktemp("bed"), (NONE, MISTAKES[0]))
 
 
-def test_a_survey_from_raw_logs(rows: pd.DataFrame) -> None:
+def test_a_survey_from_raw_logs(rows):
     none = rows[rows["mistake"] == "none"]
     sums = none.groupby("quantity")[COLUMNS].sum()
     assert sums.loc["bed", "n"] > 1000
@@ -47,9 +44,7 @@ def test_a_survey_from_raw_logs(rows: pd.DataFrame) -> None:
     assert lower == pytest.approx(-0.035, abs=0.012)
 
 
-def test_a_survey_tells_methods_sections_and_patterns(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_survey_tells_methods_sections_and_patterns(tmp_path, monkeypatch):
     monkeypatch.setattr(bed_study, "TWIN", bed_study.TWIN | {"duration_s": 25.0})
     monkeypatch.setattr(bed_study, "LEGS_M", (15.0, 60.0))
     monkeypatch.setattr(bed_study, "_REACH_M", 130.0)
@@ -75,7 +70,7 @@ def test_a_survey_tells_methods_sections_and_patterns(
     assert image.stat().st_size > 20_000
 
 
-def test_findings_of_many_surveys() -> None:
+def test_findings_of_many_surveys():
     """Errors of known size, and a depth that goes with the width by a correlation of -0.6."""
     rng = np.random.default_rng(2)
     sizes = {"kriging": 0.1, "triangles": 0.15}
@@ -106,7 +101,7 @@ def _surveys(factor: float) -> pd.DataFrame:
 
 
 @pytest.mark.parametrize(("factor", "consistent"), [(1.0, True), (0.75, False), (1.3, False)])
-def test_only_sigmas_that_fit_are_consistent(factor: float, consistent: bool) -> None:
+def test_only_sigmas_that_fit_are_consistent(factor, consistent):
     table = verdicts(_surveys(factor))
     assert table["from_m"].tolist() == [0.0, 0.0, 1.0]
     assert (table["consistent"] == consistent).all()

@@ -9,7 +9,7 @@ from thalweg_lab.studies import cone_runs as runs
 
 
 @pytest.mark.parametrize(("scale", "inside"), [(1.0, True), (1.5, False), (0.7, False)])
-def test_only_consistent_covariances_lie_in_the_band(scale: float, inside: bool) -> None:
+def test_only_consistent_covariances_lie_in_the_band(scale, inside):
     rng = np.random.default_rng(1)
     squares = np.square(scale * rng.standard_normal((60, 6))).mean(axis=1)
     found = pd.DataFrame({"seed": range(60), "failure": "", "consistent": squares})
@@ -18,7 +18,7 @@ def test_only_consistent_covariances_lie_in_the_band(scale: float, inside: bool)
     assert row["band_low"] < 1 < row["band_high"]
 
 
-def test_failures_are_counted_and_do_not_enter_the_mean() -> None:
+def test_failures_are_counted_and_do_not_enter_the_mean():
     def trial(seed: int) -> dict[str, float]:
         if seed == 2:
             raise CoverageError("no soundings")
@@ -32,7 +32,7 @@ def test_failures_are_counted_and_do_not_enter_the_mean() -> None:
     assert judged["inside"].tolist() == [True, True, False]
 
 
-def test_a_few_seeds() -> None:
+def test_a_few_seeds():
     found = runs.study(runs.ins_lidar_trial, [1, 2])
     assert (found["failure"] == "").all()
     table = runs.judged(found, runs.INS_LIDAR, level=1e-4).set_index("covariance")

@@ -1,6 +1,5 @@
 """The camera-lidar calibration on the recorded twin: consistent over seeds, and robust."""
 
-import pandas as pd
 import pytest
 
 from thalweg_lab.studies.sensors.camera_lidar import Pictures, StudySettings, camera_lidar_study, summary
@@ -9,11 +8,11 @@ FEW = StudySettings(revolutions=3, positions=(1, 2), pictures=Pictures(run_image
 
 
 @pytest.fixture(scope="module")
-def few() -> pd.DataFrame:
+def few():
     return camera_lidar_study((2,), FEW)
 
 
-def test_a_seed_is_consistent(few: pd.DataFrame) -> None:
+def test_a_seed_is_consistent(few):
     """Whether many are, `tests/calibration/test_camera_lidar.py` asks of six and the study of twenty."""
     assert (few["failure"] == "").all()
     got = summary(few, level=0.002)
@@ -25,7 +24,7 @@ def test_a_seed_is_consistent(few: pd.DataFrame) -> None:
     assert got["median_sigma_rotation_x_deg"] < 0.067
 
 
-def test_a_field_that_gives_no_pose_is_a_failure() -> None:
+def test_a_field_that_gives_no_pose_is_a_failure():
     settings = StudySettings(revolutions=1, pictures=Pictures(sigma_px=0.05, run_images=0, wrong_marks=0.9))
     (line,) = camera_lidar_study([1], settings).to_dict("records")
     assert line["failure"]

@@ -26,7 +26,7 @@ CAMERA = Rigid.from_opk(np.deg2rad([90.0, 0.0, 0.0]), [-0.25, -0.10, -0.18])
 
 
 @pytest.fixture(scope="module")
-def found(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[study.Found]]:
+def found(tmp_path_factory):
     folder = tmp_path_factory.mktemp("chains")
     settings = study.ChainStudy.of(tables.DISTURBED, study.DISTURBANCES, SMALL, {"cell_m": 0.1})
     world = study.make_world(settings, folder / "world")
@@ -35,7 +35,7 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[study.Foun
     return {tables.DISTURBED: out}
 
 
-def test_all_chains_see_the_bank(found: dict[str, list[study.Found]]) -> None:
+def test_all_chains_see_the_bank(found):
     table = tables.study_table(found)
     assert len(table) == 2 * len(CHAINS)
     of = table[table["points"] == "without outliers"].set_index("chain")
@@ -52,7 +52,7 @@ def test_all_chains_see_the_bank(found: dict[str, list[study.Found]]) -> None:
     assert of.loc["fused", "rmse_m"] < 0.08
 
 
-def test_a_goal_that_is_missed_says_by_how_much() -> None:
+def test_a_goal_that_is_missed_says_by_how_much():
     rows = [
         {"setting": tables.DISTURBED, "chain": chain, "points": points, "rmse_m": rmse, "mean_m": mean}
         for points in ("all", "without outliers")
@@ -63,7 +63,7 @@ def test_a_goal_that_is_missed_says_by_how_much() -> None:
     assert goals["missed_by_m"].tolist() == pytest.approx([0.0, 0.03, 0.0, 0.015])
 
 
-def test_drawn_images_err_as_they_say() -> None:
+def test_drawn_images_err_as_they_say():
     """Normalised squares of first and last images of 200 surveys: the spread of 2400 squares is 0.08."""
     motion = Voyage(TwinConfig.of_size("demo", duration_s=6.0), 1)
     errors = ImageErrors(jitter_s=0.0, sigma_clock_s=0.0)

@@ -18,14 +18,14 @@ def pairs(tmp_path_factory):
         return change_study.rows(seed)["pairs"]
 
 
-def test_each_chain_is_judged_by_three_models_and_the_ins_by_two_mistakes(pairs) -> None:
+def test_each_chain_is_judged_by_three_models_and_the_ins_by_two_mistakes(pairs):
     assert pairs["chain"].unique().tolist() == list(CHAINS)
     assert pairs["model"].nunique() == len(change_study.MODELS)
     assert len(pairs) == len(change_study.MODELS) + 2 * 3
     assert (pairs["cores"] > 50).all()
 
 
-def test_errors_that_points_share_are_in_the_field_and_in_no_other_model(pairs) -> None:
+def test_errors_that_points_share_are_in_the_field_and_in_no_other_model(pairs):
     """One observation, of the six errors of pose that six seconds share: the others state at most half of it.
 
     The guard is `change_study`, of sixty pairs.
@@ -43,7 +43,7 @@ def test_errors_that_points_share_are_in_the_field_and_in_no_other_model(pairs) 
     assert halved == pytest.approx(4.0)
 
 
-def test_all_shares_are_shares(pairs) -> None:
+def test_all_shares_are_shares(pairs):
     shares = ["false_alarm_95", "sensitivity", "predicted_sensitivity", "specificity", "false_discovery"]
     assert pairs[shares].min().min() >= 0.0
     assert pairs[shares].max().max() <= 1.0

@@ -1,7 +1,5 @@
 """Covariances of image blocks on rendered pictures."""
 
-from pathlib import Path
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -35,7 +33,7 @@ def blocks(*joint: float, images: int = 10, factor: float = DEFAULT_FACTOR) -> p
     )
 
 
-def test_normalised_squares_of_correlated_poses(rng: np.random.Generator) -> None:
+def test_normalised_squares_of_correlated_poses(rng):
     A = rng.normal(size=(24, 24))
     cov = A @ A.T
     values = [normalised((A @ rng.standard_normal(24)).reshape(4, 6), cov) for _ in range(2000)]
@@ -48,14 +46,14 @@ def test_normalised_squares_of_correlated_poses(rng: np.random.Generator) -> Non
     assert joint.var() == pytest.approx(2 / 24, rel=0.2)
 
 
-def test_images_that_err_as_one_count_once() -> None:
+def test_images_that_err_as_one_count_once():
     own = np.diag([1.0, 2.0, 3.0, 0.1, 0.2, 0.3])
     assert normalised(np.ones((5, 6)), np.kron(np.eye(5), own))[2] == pytest.approx(30.0)
     alike = np.kron(np.full((5, 5), 1.0) + 1e-9 * np.eye(5), own)
     assert normalised(np.ones((5, 6)), alike)[2] == pytest.approx(6.0, rel=1e-6)
 
 
-def test_a_block_that_fails_is_a_line_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_block_that_fails_is_a_line_of_its_own(tmp_path, monkeypatch):
     def fails(*_: object) -> None:
         raise GeometryError("no block", expected="one")
 

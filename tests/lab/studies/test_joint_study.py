@@ -1,7 +1,6 @@
 """Echo sounder and light sheet on T's river: the river, points of the sheet, the picture."""
 
 import numpy as np
-import pandas as pd
 import pytest
 
 from thalweg_lab.reach import River
@@ -11,7 +10,7 @@ from thalweg_lab.studies.joint_study import SURVEYS, campaign_of, surveyed
 
 
 @pytest.fixture(scope="module")
-def found(tmp_path_factory: pytest.TempPathFactory) -> tuple[pd.DataFrame, pd.DataFrame]:
+def found(tmp_path_factory):
     """One survey of 40 s on half of the river."""
     scene = joint_study.TWIN["scene"] | {"length_m": 24.0, "grid_m": 0.3}
     with pytest.MonkeyPatch.context() as patch:
@@ -23,7 +22,7 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> tuple[pd.DataFrame, pd.Da
         return surveyed(1, tmp_path_factory.mktemp("joint"))
 
 
-def test_the_river_is_that_of_the_thesis() -> None:
+def test_the_river_is_that_of_the_thesis():
     twin = TwinConfig(**campaign_of(1)["twin"])
     river = River(twin.scene, 1)
     s = np.linspace(-21, 21, 200)
@@ -40,7 +39,7 @@ def test_the_river_is_that_of_the_thesis() -> None:
     assert 0.04 < shallow.mean() < 0.2
 
 
-def test_each_instrument_measures_its_depths(found: tuple[pd.DataFrame, pd.DataFrame]) -> None:
+def test_each_instrument_measures_its_depths(found):
     squares, places = found
     low = squares[(squares["quantity"] == SURVEYS[1]) & (squares["to_m"] <= 0.05)]
     assert low[["soundings", "sheet"]].sum().sum() <= 2  # errors of 3 cm move some below the limit
@@ -52,7 +51,7 @@ def test_each_instrument_measures_its_depths(found: tuple[pd.DataFrame, pd.DataF
     assert soundings["up_m"].max() < -0.05
 
 
-def test_the_sheet_helps_where_it_measures(found: tuple[pd.DataFrame, pd.DataFrame]) -> None:
+def test_the_sheet_helps_where_it_measures(found):
     squares, _ = found
     of = squares[squares["from_m"] == 0.05].set_index("quantity")
     assert of.loc[SURVEYS[1], "measured"] > of.loc[SURVEYS[0], "measured"]

@@ -5,15 +5,15 @@ import pandas as pd
 import pytest
 
 from thalweg_lab.studies.sensors import multi_line_images, write_images
-from thalweg_lab.studies.sensors.laser_lines import OBJECTS, MultiLineImage
+from thalweg_lab.studies.sensors.laser_lines import OBJECTS
 
 
 @pytest.fixture(scope="module")
-def images() -> list[MultiLineImage]:
+def images():
     return list(multi_line_images(1, size="tiny"))
 
 
-def test_known_depths_tell_the_line(images) -> None:
+def test_known_depths_tell_the_line(images):
     assert tuple(one.name for one in images) == OBJECTS
     for one in images[:2]:
         p = one.points
@@ -29,7 +29,7 @@ def test_known_depths_tell_the_line(images) -> None:
     assert np.abs(z - plane.vertices_lcs_mm[:, 2].mean()).median() < 0.3
 
 
-def test_one_image_of_a_wreck_does_not_tell_the_line(images) -> None:
+def test_one_image_of_a_wreck_does_not_tell_the_line(images):
     p = images[2].points
     assert (p["line"] == -1).all()
     assert p["x_mm"].isna().all()
@@ -38,7 +38,7 @@ def test_one_image_of_a_wreck_does_not_tell_the_line(images) -> None:
     assert (p["true_line"] >= 0).mean() > 0.9
 
 
-def test_pictures_and_points_are_written(images, tmp_path) -> None:
+def test_pictures_and_points_are_written(images, tmp_path):
     write_images(images, tmp_path / "a.npz", tmp_path / "a.csv")
     with np.load(tmp_path / "a.npz", allow_pickle=False) as data:
         for one in images:

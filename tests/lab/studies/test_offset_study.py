@@ -28,7 +28,7 @@ def small(effect: Effect) -> Effect:
 
 
 @pytest.fixture(scope="module")
-def surveys(tmp_path_factory: pytest.TempPathFactory) -> tuple[pd.DataFrame, list[Effect]]:
+def surveys(tmp_path_factory):
     """Rows of two seeds, and their effects."""
     names = (
         "bare bank of 60 degrees",
@@ -44,11 +44,11 @@ def surveys(tmp_path_factory: pytest.TempPathFactory) -> tuple[pd.DataFrame, lis
 
 
 @pytest.fixture(scope="module")
-def found(surveys: tuple[pd.DataFrame, list[Effect]]) -> pd.DataFrame:
+def found(surveys):
     return offset_table(*surveys)
 
 
-def test_every_row_is_a_campaign_and_has_its_counterpart() -> None:
+def test_every_row_is_a_campaign_and_has_its_counterpart():
     names = [effect.name for effect in EFFECTS]
     assert len(set(names)) == len(names)
     for effect in EFFECTS:
@@ -65,7 +65,7 @@ def test_every_row_is_a_campaign_and_has_its_counterpart() -> None:
         wide["lidar"]["divergence_mrad"], narrow["lidar"]["divergence_mrad"] = 3.0, 0.0
 
 
-def test_a_bare_bank_has_no_offset_and_plants_stand_before_it(found: pd.DataFrame) -> None:
+def test_a_bare_bank_has_no_offset_and_plants_stand_before_it(found):
     rows = found.set_index("effect")
     assert (found["n"] > 2000).all()
     assert (found["seeds"] == 2).all()

@@ -12,7 +12,7 @@ def table():
     return outage.summarised(found)
 
 
-def test_the_fused_trajectory_is_at_least_as_good_as_each_chain_at_every_length(table) -> None:
+def test_the_fused_trajectory_is_at_least_as_good_as_each_chain_at_every_length(table):
     assert len(table) == 8
     by = table.pivot_table(index="length_s", columns="chain", values="rms_m")
     whole = np.sqrt((by**2).mean())
@@ -25,13 +25,13 @@ def test_the_fused_trajectory_is_at_least_as_good_as_each_chain_at_every_length(
     assert by.loc[18.0, "fused"] < 1.5 * by.loc[2.0, "camera"]
 
 
-def test_predicted_sigmas_follow_the_errors(table) -> None:
+def test_predicted_sigmas_follow_the_errors(table):
     """Some ten outages of few independent errors: a factor of 1.6 is their spread (99 %)."""
     known = table[table["chain"] != "ins_model"]
     ratio = known["rms_m"] / known["sigma_m"]
     assert ((ratio > 1 / 1.6) & (ratio < 1.6)).all()
 
 
-def test_outages_leave_positions_on_both_sides_and_do_not_overlap() -> None:
+def test_outages_leave_positions_on_both_sides_and_do_not_overlap():
     spans = outage.outages(np.arange(0.0, 100.0, 0.1), 20.0)
     assert spans == [(15.0, 35.0), (50.0, 70.0)]

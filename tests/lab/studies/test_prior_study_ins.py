@@ -1,15 +1,12 @@
 """The study of wrong presumptions for INS and lidar, on one short survey."""
 
-from pathlib import Path
-
 import numpy as np
-import pytest
 
 from thalweg_lab.studies import prior_study
 from thalweg_lab.studies.trials import Sample, Trial, as_table, from_table
 
 
-def test_sigmas_stated_at_half_are_seen_and_mended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_sigmas_stated_at_half_are_seen_and_mended(tmp_path, monkeypatch):
     """Errors of twice the stated size: a mean square of 4 as presumed; estimated, much less.
 
     One observation. The guard is `prior_study`.
@@ -24,7 +21,7 @@ def test_sigmas_stated_at_half_are_seen_and_mended(tmp_path: Path, monkeypatch: 
     assert square["estimated", "pose"] < 0.6 * square["presumed", "pose"]
 
 
-def test_a_survey_is_the_same_after_it_was_a_table() -> None:
+def test_a_survey_is_the_same_after_it_was_a_table():
     rng = np.random.default_rng(1)
 
     def sample() -> Sample:

@@ -19,7 +19,7 @@ def antenna_errors_m(variant: str, seed: int = 1) -> tuple[ArrayF, ArrayF]:
     return place - true, table[[f"sigma_{a}_m" for a in ("east", "north", "up")]].to_numpy()
 
 
-def test_stated_sigmas_are_those_that_the_processing_is_used_to() -> None:
+def test_stated_sigmas_are_those_that_the_processing_is_used_to():
     for variant in ("base", "stated_half", "stated_double", "heavy_tails"):
         assert np.allclose(antenna_errors_m(variant)[1], [0.02, 0.02, 0.03])
     images = {v: study.survey_of(study.VARIANTS[v], 1, 20.0).images for v in ("base", "stated_half")}
@@ -27,7 +27,7 @@ def test_stated_sigmas_are_those_that_the_processing_is_used_to() -> None:
     assert images["base"].sigma_t_s == pytest.approx(images["stated_half"].sigma_t_s)
 
 
-def test_errors_are_as_the_variant_says() -> None:
+def test_errors_are_as_the_variant_says():
     """Steps from one position to the next are white noise but for a little: variance ``2 w sigma^2``."""
     steps = {v: np.diff(antenna_errors_m(v)[0][:, 0]) for v in study.VARIANTS}
     white = {v: float(np.mean(np.square(d)) / (2 * 0.02**2)) for v, d in steps.items()}
@@ -40,7 +40,7 @@ def test_errors_are_as_the_variant_says() -> None:
     assert tail["base"] < 4 < tail["heavy_tails"]
 
 
-def test_sigmas_stated_too_small_fail_as_presumed_and_hold_as_estimated() -> None:
+def test_sigmas_stated_too_small_fail_as_presumed_and_hold_as_estimated():
     """One observation: 40 s hold some four errors, which last 10 s, of each of six numbers of the pose.
 
     Only what is four times off shows. The guard is `prior_study`, of six voyages of two minutes.
@@ -56,7 +56,7 @@ def test_sigmas_stated_too_small_fail_as_presumed_and_hold_as_estimated() -> Non
     assert (rows["n"] > 90).all()
 
 
-def test_a_table_pools_seeds_and_says_what_is_right() -> None:
+def test_a_table_pools_seeds_and_says_what_is_right():
     rows = pd.DataFrame(
         [
             {

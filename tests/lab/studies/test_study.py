@@ -31,7 +31,7 @@ def summed(tables: Tables, files: list[Path]) -> dict[str, Result]:
 STUDY = Study(rows=squares, results=summed)
 
 
-def test_seeds_are_dealt_out_to_jobs() -> None:
+def test_seeds_are_dealt_out_to_jobs():
     one = batches({"parameters": SIZES, "jobs": {}})
     assert list(one) == ["survey_5", "survey_6", "survey_7", "survey_8", "survey_9"]
     two = batches({"parameters": SIZES, "jobs": {"seeds_a_job": 2}})
@@ -50,7 +50,7 @@ def test_seeds_are_dealt_out_to_jobs() -> None:
 
 
 @pytest.mark.parametrize("at_once", [1, 2, 5])
-def test_results_do_not_depend_on_how_seeds_are_dealt_out(tmp_path: Path, at_once: int) -> None:
+def test_results_do_not_depend_on_how_seeds_are_dealt_out(tmp_path, at_once):
     jobs = batches({"parameters": SIZES, "jobs": {"seeds_a_job": at_once}})
     for name, batch in jobs.items():
         run_seeds(STUDY, batch, SIZES, tmp_path / name)
@@ -61,20 +61,20 @@ def test_results_do_not_depend_on_how_seeds_are_dealt_out(tmp_path: Path, at_onc
     assert outputs["facts"].read_text() == "5"
 
 
-def test_a_result_that_nobody_asked_for_is_named(tmp_path: Path) -> None:
+def test_a_result_that_nobody_asked_for_is_named(tmp_path):
     run_seeds(STUDY, Batch(kind="survey", seeds=(1,)), SIZES, tmp_path / "a")
     with pytest.raises(InputError, match="page"):
         write_results(STUDY, [tmp_path / "a"], [], {"table": tmp_path / "t.csv"})
 
 
 @pytest.mark.parametrize("place", ["nothing:STUDY", "study:NO", "study:load"])
-def test_what_is_no_study_is_named(place: str) -> None:
+def test_what_is_no_study_is_named(place):
     name = f"thalweg_lab.studies.{place}"
     with pytest.raises(InputError, match=re.escape(name)):
         load(name)
 
 
-def test_every_study_of_the_repository_can_be_run(repository: Path) -> None:
+def test_every_study_of_the_repository_can_be_run(repository):
     found = 0
     for path in sorted((repository / "config/studies").glob("*_study.yaml")):
         entry = yaml.safe_load(path.read_text())

@@ -1,13 +1,12 @@
 """A whole survey in one call: the same as the rules make, and only the truth's part sees the truth."""
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 from thalweg.core import laz_header
-from thalweg_lab.studies.survey import BARE, Logs, process, record, survey_settings
+from thalweg_lab.studies.survey import BARE, process, record, survey_settings
 
 TWIN: dict[str, Any] = {
     "size": "tiny",
@@ -18,11 +17,11 @@ TWIN: dict[str, Any] = {
 
 
 @pytest.fixture(scope="module")
-def logs(tmp_path_factory: pytest.TempPathFactory) -> Logs:
+def logs(tmp_path_factory):
     return record(survey_settings(TWIN, seed=3), tmp_path_factory.mktemp("survey") / "new", stations=2)
 
 
-def test_errors_are_taken_from_the_truth(logs: Logs) -> None:
+def test_errors_are_taken_from_the_truth(logs):
     survey = process(logs)
     errors = survey.errors_3d()
     assert laz_header(survey.points).n_points > len(errors.range_m) > 1000
@@ -38,7 +37,7 @@ def test_errors_are_taken_from_the_truth(logs: Logs) -> None:
     assert errors.normalised == pytest.approx(by_hand, rel=1e-6)
 
 
-def test_settings_may_differ_from_those_of_the_instruments(logs: Logs) -> None:
+def test_settings_may_differ_from_those_of_the_instruments(logs):
     consistent = process(logs)
     wrong = survey_settings(TWIN, seed=3)
     wrong["mounts"]["lidar"]["lever_ics_m"] = [0.35, 0.0, 0.25]
@@ -52,7 +51,7 @@ def test_settings_may_differ_from_those_of_the_instruments(logs: Logs) -> None:
     assert late.trajectory.t_gps_s[0] - consistent.trajectory.t_gps_s[0] == pytest.approx(0.05)
 
 
-def test_the_same_seed_gives_the_same_cloud(logs: Logs, tmp_path: Path) -> None:
+def test_the_same_seed_gives_the_same_cloud(logs, tmp_path):
     again = record(survey_settings(TWIN, seed=3), tmp_path / "again", scene=logs.scene)
     assert again.scans == ()
     assert again.pcap.read_bytes() == logs.pcap.read_bytes()

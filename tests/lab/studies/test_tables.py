@@ -6,7 +6,7 @@ import pandas as pd
 from thalweg_lab.studies.sensors.laser_lines import means
 
 
-def test_means_of_groups_by_hand() -> None:
+def test_means_of_groups_by_hand():
     found = pd.DataFrame({"model": ["b", "b", "a"], "seed": [1, 2, 1], "rmse_mm": [1.0, 3.0, 5.0]})
     table = means(found, ["model"], ["rmse_mm"])
     assert table["model"].tolist() == ["b", "a"]

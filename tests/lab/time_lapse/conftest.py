@@ -39,7 +39,7 @@ class Reach:
 
 
 @pytest.fixture(scope="session")
-def reach(tmp_path_factory: pytest.TempPathFactory) -> Reach:
+def reach(tmp_path_factory):
     path = tmp_path_factory.mktemp("reach") / "scene.npz"
     build_scene(CONFIG, SEED).write(path)
     # Written and read: coordinates are kept in float32, as for the images of a campaign.

@@ -10,7 +10,7 @@ from thalweg_lab.writers import start_us
 from thalweg_lab.yard_records import clock_minus_utc_s
 
 
-def test_poses_are_those_of_boat_and_mount_at_the_true_exposure() -> None:
+def test_poses_are_those_of_boat_and_mount_at_the_true_exposure():
     plan = plan_images(CONFIG, settings(), SEED, MOUNTS)
     voyage, mount = Voyage(CONFIG, SEED), MOUNTS["camera"]
     t = np.array([s.t_gps_s for s in plan.shots])
@@ -24,7 +24,7 @@ def test_poses_are_those_of_boat_and_mount_at_the_true_exposure() -> None:
     assert (R[:, 2, 1] < -0.95).all()
 
 
-def test_stamps_follow_the_cameras_clock_with_its_jitter() -> None:
+def test_stamps_follow_the_cameras_clock_with_its_jitter():
     plan = plan_images(CONFIG, settings(share=1.0, rate_hz=10.0), SEED, MOUNTS)
     since = np.array([s.since_s for s in plan.shots])
     shown = (np.array([s.stamp_us for s in plan.shots]) - start_us(CONFIG)) * 1e-6
@@ -38,7 +38,7 @@ def test_stamps_follow_the_cameras_clock_with_its_jitter() -> None:
     assert all(s.stamp_us % 1000 == 0 for s in plan.shots)
 
 
-def test_smear_is_the_way_of_a_place_in_the_image_while_the_shutter_is_open() -> None:
+def test_smear_is_the_way_of_a_place_in_the_image_while_the_shutter_is_open():
     plan = plan_images(CONFIG, settings(), SEED, MOUNTS)
     open_s, voyage = CONFIG.camera.exposure_s, Voyage(CONFIG, SEED)
     R_ics_ccs = rotation_opk(*np.deg2rad([MOUNTS["camera"][f"{a}_deg"] for a in ("omega", "phi", "kappa")]))

@@ -1,16 +1,14 @@
 """Control points: where they stand, who sees them, and their survey."""
 
-from pathlib import Path
-
 import numpy as np
 import pandas as pd
 
-from tests.lab.time_lapse.conftest import CONFIG, SEED, Reach, settings
+from tests.lab.time_lapse.conftest import CONFIG, SEED, settings
 from thalweg_lab.reach import River
 from thalweg_lab.time_lapse.record import surveyed, write_survey
 
 
-def test_every_target_is_seen_free_and_large_enough(reach: Reach) -> None:
+def test_every_target_is_seen_free_and_large_enough(reach):
     recording = reach.recording
     targets, plan = recording.targets, recording.plan
     mesh = recording.renderer.world.caster
@@ -28,7 +26,7 @@ def test_every_target_is_seen_free_and_large_enough(reach: Reach) -> None:
         assert images >= recording.settings.least_images
 
 
-def test_targets_stand_on_the_right_bank_face_the_river_and_spread(reach: Reach) -> None:
+def test_targets_stand_on_the_right_bank_face_the_river_and_spread(reach):
     targets = reach.recording.targets
     river = River(CONFIG.scene, SEED)
     s, n = river.to_flow(*targets.centre_wcs_m[:, :2].T)
@@ -49,7 +47,7 @@ def test_targets_stand_on_the_right_bank_face_the_river_and_spread(reach: Reach)
     assert (np.sum(outward * targets.normal_wcs, axis=1) < 0).all()
 
 
-def test_the_survey_errs_by_its_sigmas(reach: Reach, tmp_path: Path) -> None:
+def test_the_survey_errs_by_its_sigmas(reach, tmp_path):
     targets = reach.recording.targets
     sigma = np.array([0.01, 0.02, 0.05])
     errors = []

@@ -1,14 +1,12 @@
 """The images: geometry, what moves and what does not, effects, files."""
 
-from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 
-from tests.lab.time_lapse.conftest import Reach
-from thalweg.core import ArrayB, ArrayU8
+from thalweg.core import ArrayB
 from thalweg.ingest.photos import read_image_stamps
 from thalweg_lab.time_lapse.record import TimeLapse
 from thalweg_lab.voyage import start_gps_s
@@ -18,7 +16,7 @@ FIRST = 5
 
 
 @pytest.fixture(scope="module")
-def images(reach: Reach) -> list[ArrayU8]:
+def images(reach):
     return [reach.recording.render_image(k) for k in (FIRST, FIRST + 1)]
 
 
@@ -26,7 +24,7 @@ SMALL: dict[str, Any] = {"size_px": (240, 180), "n_targets": 0}
 
 
 @pytest.fixture(scope="module")
-def small(reach: Reach) -> TimeLapse:
+def small(reach):
     """The same view in a quarter of the pixels, without boards."""
     return reach.other(**SMALL)
 
@@ -44,7 +42,7 @@ def land_of(recording: TimeLapse, k: int) -> ArrayB:
     return np.asarray(land & (renderer.boat.share == 0) if renderer.boat else land)
 
 
-def test_crossings_of_the_boards_are_where_lens_and_pose_say(reach: Reach) -> None:
+def test_crossings_of_the_boards_are_where_lens_and_pose_say(reach):
     recording = reach.recording
     targets, camera = recording.targets, recording.plan.camera
     shown = []
@@ -69,7 +67,7 @@ def test_crossings_of_the_boards_are_where_lens_and_pose_say(reach: Reach) -> No
     assert np.abs(np.median(off, axis=0)).max() < 0.08
 
 
-def test_water_moves_and_the_boat_covers_the_lower_edge(small: TimeLapse) -> None:
+def test_water_moves_and_the_boat_covers_the_lower_edge(small):
     land, full, boat = land_of(small, FIRST), small.light(FIRST), small.renderer.boat
     assert boat is not None
     h = land.shape[0]
@@ -88,7 +86,7 @@ def test_water_moves_and_the_boat_covers_the_lower_edge(small: TimeLapse) -> Non
     assert np.mean(np.abs(later - full).max(axis=2)[water & rest] > 0.01) > 0.3
 
 
-def test_files_carry_their_stamps_as_the_reader_expects(reach: Reach, tmp_path: Path) -> None:
+def test_files_carry_their_stamps_as_the_reader_expects(reach, tmp_path):
     recording = reach.other(size_px=(160, 120), n_targets=0)
     names = [recording.write_image(k, tmp_path) for k in (0, 1)]
     for source in ("name", "exif"):

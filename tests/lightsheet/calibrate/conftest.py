@@ -1,8 +1,5 @@
 """One thread: with few points, starting threads on a busy machine costs more than they gain."""
 
-from collections.abc import Iterator
-from types import ModuleType
-
 import numba as nb
 import pytest
 
@@ -10,13 +7,13 @@ from tests.lightsheet.calibrate import lines as simulated
 
 
 @pytest.fixture(scope="session")
-def lines() -> ModuleType:
+def lines():
     """Simulated line points."""
     return simulated
 
 
 @pytest.fixture(autouse=True)
-def one_thread() -> Iterator[None]:
+def one_thread():
     """Kernels in one thread."""
     before = nb.get_num_threads()
     nb.set_num_threads(1)

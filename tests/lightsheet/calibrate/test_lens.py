@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -59,7 +58,7 @@ def squared_error(found: LensCalibration) -> float:
 # ---------------------------------------------------------------- consistency
 
 
-def test_errors_over_seeds_are_what_the_covariance_says() -> None:
+def test_errors_over_seeds_are_what_the_covariance_says():
     """Marks, start from the design, blunder search, adjustment: all nine parameters with their covariance."""
     found = [calibrated(photographed(seed), description(seed)) for seed in SEEDS]
     squares = np.array([squared_error(one) for one in found])
@@ -79,7 +78,7 @@ def test_errors_over_seeds_are_what_the_covariance_says() -> None:
     assert sum(f.measured.network.report["marks_rejected"] for f in found) <= 4
 
 
-def test_the_sigmas_follow_the_marks_and_not_what_is_stated() -> None:
+def test_the_sigmas_follow_the_marks_and_not_what_is_stated():
     marks = photographed()
     # far too large: nothing of it counts, neither before nor in the bundle
     stated = calibrated(marks.assign(sigma_px=3.0))
@@ -89,7 +88,7 @@ def test_the_sigmas_follow_the_marks_and_not_what_is_stated() -> None:
     assert ((more[:4] > 0.5) & (more[:4] < 0.9)).all(), more
 
 
-def test_prediction_and_result_have_the_same_sigmas() -> None:
+def test_prediction_and_result_have_the_same_sigmas():
     expected = predicted(photographed(), replace(DESIGN, name=NAME), description())
     at = list(expected.layout.at_camera[0].values())
     ratio = np.sqrt(np.diag(expected.cov)[at] / np.diag(good().camera.cov))
@@ -102,7 +101,7 @@ def test_prediction_and_result_have_the_same_sigmas() -> None:
 # ---------------------------------------------------------------- what is reported
 
 
-def test_the_report_says_what_the_orientation_rests_on() -> None:
+def test_the_report_says_what_the_orientation_rests_on():
     report = lens_report(good())
     assert set(report["camera"]) == {"fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3"}
     assert len(report["images"]) == 12
@@ -125,7 +124,7 @@ def test_the_report_says_what_the_orientation_rests_on() -> None:
     assert report["views"]["largest_angle_deg"] > 60
 
 
-def test_few_pictures_and_marks_amid_the_picture_are_noted() -> None:
+def test_few_pictures_and_marks_amid_the_picture_are_noted():
     found = calibrated(photographed(n=10))
     assert any("10 pictures: 12 or more" in note for note in found.notes)
     marks = photographed(n=14)
@@ -138,7 +137,7 @@ def test_few_pictures_and_marks_amid_the_picture_are_noted() -> None:
 # ---------------------------------------------------------------- into the sensor
 
 
-def test_the_sensor_takes_the_whole_covariance(tmp_path: Path) -> None:
+def test_the_sensor_takes_the_whole_covariance(tmp_path):
     nominal = replace(paper_4(), camera=DESIGN)
     before = nominal.cov.copy()
     before[LENS, LENS] = before[WINDOW, LENS] = before[LENS, WINDOW] = 0.0
@@ -170,7 +169,7 @@ def told(run: Callable[[], object]) -> str:
 
 
 @pytest.mark.parametrize(("relief", "roll"), [(True, True), (False, True), (False, False)])
-def test_pictures_from_one_direction_do_not_give_a_camera_constant(relief: bool, roll: bool) -> None:
+def test_pictures_from_one_direction_do_not_give_a_camera_constant(relief, roll):
     text = told(lambda: calibrated(photographed(relief=relief, roll=roll, convergent=False)))
     assert "the pictures do not determine fx (sigma " in text
     assert "with distance of field_0" in text
@@ -183,11 +182,11 @@ def test_pictures_from_one_direction_do_not_give_a_camera_constant(relief: bool,
         assert "with place along the rows of field_0" in text or "with tilt about the columns of" in text
 
 
-def test_too_few_pictures() -> None:
+def test_too_few_pictures():
     assert "5 pictures of the field; expected at least 6" in told(lambda: calibrated(photographed(n=5)))
 
 
-def test_scale_bars_in_another_unit() -> None:
+def test_scale_bars_in_another_unit():
     field = description()
     # certificates in inches
     inches = tuple(replace(bar, length_m=bar.length_m / 0.0254) for bar in field.scale_bars)
@@ -196,7 +195,7 @@ def test_scale_bars_in_another_unit() -> None:
     assert "in metres" in text
 
 
-def test_a_wrong_bar_is_named_and_changes_no_interior_orientation() -> None:
+def test_a_wrong_bar_is_named_and_changes_no_interior_orientation():
     field = description()
     first, *others = field.scale_bars
     wrong = replace(field, scale_bars=(*others, replace(first, name="long", length_m=first.length_m + 0.002)))
@@ -204,7 +203,7 @@ def test_a_wrong_bar_is_named_and_changes_no_interior_orientation() -> None:
     assert any("long" in note for note in found.notes)
 
 
-def test_markers_that_were_mixed_up() -> None:
+def test_markers_that_were_mixed_up():
     marks = photographed(n=16)
     # one picture in which two markers have each other's numbers
     here = marks["image"] == "field_004.png"
@@ -216,7 +215,7 @@ def test_markers_that_were_mixed_up() -> None:
     assert squared_error(found) < chi2.isf(1e-4, 9)
 
 
-def test_corners_that_were_numbered_otherwise_in_some_pictures() -> None:
+def test_corners_that_were_numbered_otherwise_in_some_pictures():
     marks = photographed()
     half = marks["image"].str[6:9].astype(int) % 2 == 0
     turned = marks.assign(corner=marks["corner"].where(~half, (marks["corner"] + 1) % 4))
@@ -225,14 +224,14 @@ def test_corners_that_were_numbered_otherwise_in_some_pictures() -> None:
     assert "corner 0 is the upper left one" in text
 
 
-def test_pictures_of_another_size_than_the_design_says() -> None:
+def test_pictures_of_another_size_than_the_design_says():
     marks = photographed()
     text = told(lambda: calibrated(marks.assign(x_px=marks["x_px"] / 2, y_px=marks["y_px"] / 2)))
     assert "already the approximate values leave " in text
     assert "size and camera constant of the design" in text
 
 
-def test_a_marker_that_exists_twice() -> None:
+def test_a_marker_that_exists_twice():
     marks = photographed(n=16)
     # marker 9 carries the number of marker 5 in every second picture
     odd = marks["image"].str[6:9].astype(int) % 2 == 1
@@ -244,7 +243,7 @@ def test_a_marker_that_exists_twice() -> None:
     assert squared_error(found) < chi2.isf(1e-4, 9)
 
 
-def test_pictures_of_another_camera_or_a_lens_that_was_refocused() -> None:
+def test_pictures_of_another_camera_or_a_lens_that_was_refocused():
     design = DESIGN.with_parameters(DESIGN.parameters * np.array([1.3, 1.3, 1, 1, 1, 1, 1, 1, 1]))
     text = told(lambda: calibrated(photographed(), design=design))
     assert "times that of the design" in text
@@ -257,7 +256,7 @@ def test_pictures_of_another_camera_or_a_lens_that_was_refocused() -> None:
     assert "focus ring fixed" in text
 
 
-def test_the_limit_is_that_of_the_depth() -> None:
+def test_the_limit_is_that_of_the_depth():
     """Three times P4's sigma makes more than half of P4's least total budget, 0.15 mm (P4 6.6)."""
     sensor = paper_4()
     cov = np.zeros_like(sensor.cov)

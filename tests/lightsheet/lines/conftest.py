@@ -40,7 +40,7 @@ Maker = Callable[..., Picture]
 
 
 @pytest.fixture(scope="session")
-def picture() -> Maker:
+def picture():
     @cache
     def plain(**how: Any) -> Picture:
         """A straight line: many tests look at the same few."""

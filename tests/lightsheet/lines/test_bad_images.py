@@ -41,13 +41,13 @@ def noise(level: float) -> AnyArray:
         (line(), {"largest_sigma_px": 1e-6}, "none of 80 places.*sigma_too_large': 80"),
     ],
 )
-def test_each_bad_image_says_what_is_wrong(image: AnyArray, settings: dict[str, object], words: str) -> None:
+def test_each_bad_image_says_what_is_wrong(image, settings, words):
     with pytest.raises(InputError) as caught:
         detect_lines(image, LineSettings(**settings))  # type: ignore[arg-type]
     assert re.search(words, str(caught.value)), str(caught.value)
 
 
-def test_a_line_of_which_only_smoothed_ends_are_left_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_line_of_which_only_smoothed_ends_are_left_is_refused(monkeypatch):
     """Glints in a picture of a room left nothing else: a bare IndexError."""
     monkeypatch.setattr(search, "_beyond_ends", lambda *given: given[5])
     with pytest.raises(InputError, match="none of which goes on over 8 rows"):
@@ -69,12 +69,12 @@ def test_a_line_of_which_only_smoothed_ends_are_left_is_refused(monkeypatch: pyt
         {"largest_saturated_share": float("nan")},
     ],
 )
-def test_settings_without_a_meaning_are_refused(wrong: dict[str, object]) -> None:
+def test_settings_without_a_meaning_are_refused(wrong):
     with pytest.raises(ValidationError, match=next(iter(wrong))):
         LineSettings(**wrong)  # type: ignore[arg-type]
 
 
-def test_bits_of_industrial_cameras() -> None:
+def test_bits_of_industrial_cameras():
     settings = LineSettings()
     for top in (1023, 4095, 16383):
         deep = np.zeros((50, 50), np.uint16)
@@ -85,7 +85,7 @@ def test_bits_of_industrial_cameras() -> None:
     assert green_image(line(), LineSettings(saturation_dn=100.0)).saturation_dn == 100
 
 
-def test_all_four_mosaics_give_the_green_pixels_and_means_between_them() -> None:
+def test_all_four_mosaics_give_the_green_pixels_and_means_between_them():
     rng = generator(3, "noise")
     grey = grey_values(mean_line_intensity(np.full(60, 40.3), 80, 6), GreyValues(), rng)
     mosaic = laser_mosaic(grey)

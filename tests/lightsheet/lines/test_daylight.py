@@ -35,7 +35,7 @@ def mosaic(laser_dn: float, light: ArrayF) -> AnyArray:
     return grey_values((line + light) / 255.0, GreyValues(peak_dn=255.0), generator(1, "daylight noise"))
 
 
-def test_the_line_is_found_beside_a_brighter_strip() -> None:
+def test_the_line_is_found_beside_a_brighter_strip():
     image = mosaic(80.0, daylight())
     found = detect_lines(image, LineSettings(layout="rggb"))
     np.testing.assert_allclose(found.x_px, LASER_PX, atol=1.0)
@@ -46,7 +46,7 @@ def test_the_line_is_found_beside_a_brighter_strip() -> None:
     assert np.median(np.abs(blind.x_px - STRIP_PX)) < 1.0
 
 
-def test_a_mosaic_is_recognised_though_the_strip_is_brighter_than_the_line() -> None:
+def test_a_mosaic_is_recognised_though_the_strip_is_brighter_than_the_line():
     image = mosaic(80.0, daylight())
     assert green_image(image, LineSettings()).kind == "mosaic"
     found = detect_lines(image)
@@ -55,7 +55,7 @@ def test_a_mosaic_is_recognised_though_the_strip_is_brighter_than_the_line() -> 
     assert green_image(mosaic(0.0, daylight()), LineSettings()).kind == "mono"
 
 
-def test_a_pattern_without_a_laser_is_refused() -> None:
+def test_a_pattern_without_a_laser_is_refused():
     with pytest.raises(InputError, match="as bright in red and blue as in green") as caught:
         detect_lines(mosaic(0.0, daylight()), LineSettings(layout="rggb"))
     assert "Shut out daylight" in str(caught.value)
@@ -63,7 +63,7 @@ def test_a_pattern_without_a_laser_is_refused() -> None:
     assert detect_lines(mosaic(0.0, daylight()), LineSettings(layout="mono")).facts["judged_by_colour"] == 0.0
 
 
-def test_an_over_exposed_line_stays() -> None:
+def test_an_over_exposed_line_stays():
     """Its green pixels end at 255 while red and blue go on: 4 times the range, 0.6 in the clipped middle."""
     found = detect_lines(mosaic(1000.0, np.zeros((ROWS, WIDTH))), LineSettings(layout="rggb"))
     assert len(found) > 0.9 * ROWS
@@ -71,7 +71,7 @@ def test_an_over_exposed_line_stays() -> None:
 
 
 @pytest.mark.parametrize("colour", ["green", "red", "blue"])
-def test_lines_on_a_checkerboard_in_daylight(colour: str) -> None:
+def test_lines_on_a_checkerboard_in_daylight(colour):
     """Bright squares, a shadow, Bayer interpolation and JPEG: the colour is found, and the whole line.
 
     At least 95 % of the rows of each picture within 2 px; sigmas as the errors are.
@@ -94,7 +94,7 @@ def test_lines_on_a_checkerboard_in_daylight(colour: str) -> None:
     assert max(errors) < 0.45
 
 
-def test_beside_a_checkerboard_there_is_no_line() -> None:
+def test_beside_a_checkerboard_there_is_no_line():
     """The wall behind the board shows the laser as well, in another plane; with ``board`` it is not used."""
     how = LineSettings(across="rows", board=(7, 5))
     for seed in (1,):
@@ -122,7 +122,7 @@ def with_reflections(image: AnyArray, colour: str, seed: int) -> AnyArray:
 
 
 @pytest.mark.parametrize("colour", ["red", "green"])
-def test_pieces_that_do_not_continue_the_line_are_flagged(colour: str) -> None:
+def test_pieces_that_do_not_continue_the_line_are_flagged(colour):
     """On a wall behind the board, of an arc, of specks: half of the places that lay off were believed."""
     for seed in (51, 52):
         image, true_px = daylight_board(seed, colour, inner=(7, 5))
@@ -135,7 +135,7 @@ def test_pieces_that_do_not_continue_the_line_are_flagged(colour: str) -> None:
         assert found.counts["apart_from_the_line"] == np.count_nonzero(apart)
 
 
-def test_sigmas_hold_in_pictures_that_a_camera_smoothed_or_sharpened() -> None:
+def test_sigmas_hold_in_pictures_that_a_camera_smoothed_or_sharpened():
     """By the residuals of each row sigmas were up to twice too large in smoothed pictures."""
     squares = []
     for seed in (61, 62):
@@ -150,7 +150,7 @@ def test_sigmas_hold_in_pictures_that_a_camera_smoothed_or_sharpened() -> None:
     assert low < np.mean(squares) < high
 
 
-def test_of_a_board_that_the_picture_cuts_off_what_is_seen_counts() -> None:
+def test_of_a_board_that_the_picture_cuts_off_what_is_seen_counts():
     """It was refused: `no checkerboard of 7 x 5`."""
     how = LineSettings(across="rows", board=(7, 5))
     image, true_px = daylight_board(1, "red", inner=(7, 5))
@@ -163,7 +163,7 @@ def test_of_a_board_that_the_picture_cuts_off_what_is_seen_counts() -> None:
     assert detect_lines(image, how).facts["board_share"] == 1.0
 
 
-def test_the_colour_of_a_laser_in_the_dark_is_measured() -> None:
+def test_the_colour_of_a_laser_in_the_dark_is_measured():
     line = 120.0 * mean_line_intensity(np.full(ROWS, LASER_PX), WIDTH, 4.0)
     image = np.clip(np.stack([line, 0.1 * line, 0.02 * line], axis=2), 0, 255).astype(np.uint8)
     assert green_image(image, LineSettings()).colour == "red"

@@ -46,9 +46,7 @@ def all_errors(picture: "Maker", settings: LineSettings, **asked: object) -> tup
     ],
     ids=["row", "lsm15", "speckle15", "default"],
 )
-def test_std_and_sigma_on_speckle(
-    picture: "Maker", settings: LineSettings, least: float, most: float
-) -> None:
+def test_std_and_sigma_on_speckle(picture, settings, least, most):
     error, normalised = all_errors(picture, settings)
     assert error.size > 2990
     assert least < error.std() < most
@@ -65,7 +63,7 @@ def test_std_and_sigma_on_speckle(
     [SpeckleOptics(f_number=5.6), SpeckleOptics(f_number=16, polarisations=1)],
     ids=["F/5.6", "F/16, one polarisation"],
 )
-def test_sigma_follows_the_speckle(picture: "Maker", optics: SpeckleOptics) -> None:
+def test_sigma_follows_the_speckle(picture, optics):
     """The speckle is not a setting: contrast and correlation come from the image."""
     error, normalised = all_errors(picture, LineSettings(), optics=optics)
     # 0.03 px and 0.2 px; F/16 has only some 100 independent places, and a contrast near 1
@@ -76,9 +74,7 @@ def test_sigma_follows_the_speckle(picture: "Maker", optics: SpeckleOptics) -> N
 
 
 @pytest.mark.parametrize(("amplitude_px", "length_rows"), [(0.0, 1), (0.6, 4), (1.5, 12), (0.5, 1)])
-def test_the_default_is_never_worse_than_the_row_fit(
-    picture: "Maker", amplitude_px: float, length_rows: float
-) -> None:
+def test_the_default_is_never_worse_than_the_row_fit(picture, amplitude_px, length_rows):
     """0.6 px over 4 rows is the study's sand: 0.15 mm at 0.09 mm a row, wavelengths of 2-5 mm and shorter."""
     rough = gaussian_filter1d(generator(9, "surface").standard_normal(1400), length_rows)[188:-188]
     made = picture(45 + rough * (amplitude_px / rough.std()))
@@ -98,7 +94,7 @@ def test_the_default_is_never_worse_than_the_row_fit(
 
 
 @pytest.mark.parametrize("share", [0.0, 0.25, 1.0])
-def test_the_default_follows_the_speckle_of_the_image(picture: "Maker", share: float) -> None:
+def test_the_default_follows_the_speckle_of_the_image(picture, share):
     """A line with none, a quarter and all of the speckle: as good as a patch without weights, or better.
 
     Measured 0.014, 0.024 and 0.066 px; without weights 0.013, 0.040 and 0.159 px.
@@ -133,7 +129,7 @@ def test_the_default_follows_the_speckle_of_the_image(picture: "Maker", share: f
     [(0.0, 0.0, False), (0.3, 0.0, False), (0.6, 2e-4, False), (0.6, 2e-4, True)],
     ids=["straight", "sloping", "bent", "bent, along columns"],
 )
-def test_no_bias_without_noise(settings: LineSettings, slope: float, bend: float, turned: bool) -> None:
+def test_no_bias_without_noise(settings, slope, bend, turned):
     """Corner origin, rows and columns alike; half a pixel or half a sample of a renderer would show."""
     y = np.arange(240) + 0.5
     centre = 120.37 + slope * (y - 120) + bend * (y - 120) ** 2
@@ -147,7 +143,7 @@ def test_no_bias_without_noise(settings: LineSettings, slope: float, bend: float
     np.testing.assert_allclose(row, y)
 
 
-def test_the_row_fit_is_a_least_squares_fit(picture: "Maker") -> None:
+def test_the_row_fit_is_a_least_squares_fit(picture):
     """Against SciPy, row by row (the plain loop of the benchmark)."""
     made = picture(rows=120)
     points = detect_lines(made.image, LineSettings(method="row_gauss", half_width_px=5.0))
@@ -171,7 +167,7 @@ def test_the_row_fit_is_a_least_squares_fit(picture: "Maker") -> None:
 # ---------------------------------------------------------------- kinds of images
 
 
-def test_a_mosaic_and_its_colours_give_what_green_pixels_can(picture: "Maker") -> None:
+def test_a_mosaic_and_its_colours_give_what_green_pixels_can(picture):
     made = picture()
     mosaic = laser_mosaic(made.image)
     colours = np.zeros((*made.image.shape, 3), np.uint8)
@@ -189,9 +185,7 @@ def test_a_mosaic_and_its_colours_give_what_green_pixels_can(picture: "Maker") -
 
 
 @pytest.mark.parametrize(("exposure", "most"), [(4.0, 0.09), (16.0, 0.12)])
-def test_over_exposed_lines_lose_little_because_the_flanks_know(
-    picture: "Maker", exposure: float, most: float
-) -> None:
+def test_over_exposed_lines_lose_little_because_the_flanks_know(picture, exposure, most):
     """The study's model without saturation: 0.063 and 0.113 px; LSM 0.105 at four times."""
     made = picture(peak_dn=150 * exposure, width=160)
     points = detect_lines(made.image)
@@ -203,7 +197,7 @@ def test_over_exposed_lines_lose_little_because_the_flanks_know(
     assert 0.6**2 < np.mean(normalised**2) < band(100)[1]
 
 
-def test_a_dark_line_is_measured_and_called_weak(picture: "Maker") -> None:
+def test_a_dark_line_is_measured_and_called_weak(picture):
     made = picture(peak_dn=12)
     points = detect_lines(made.image, LineSettings(least_snr=40.0))
     error, normalised = made.errors(points)
@@ -214,7 +208,7 @@ def test_a_dark_line_is_measured_and_called_weak(picture: "Maker") -> None:
     assert not detect_lines(made.image, LineSettings(least_snr=2.0)).has(LineFlag.WEAK).any()
 
 
-def test_the_same_image_gives_the_same_bytes() -> None:
+def test_the_same_image_gives_the_same_bytes():
     light = mean_line_intensity(np.full(64, 30.2), 60, 4)
     image = grey_values(light, GreyValues(), generator(1, "noise"))
     first, second = detect_lines(image), detect_lines(image)

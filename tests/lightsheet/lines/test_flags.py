@@ -22,9 +22,7 @@ from thalweg.lightsheet.lines.detect import heights, patch_heights
 from thalweg_lab.random_numbers import generator
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
-    from conftest import Maker
+    pass
 
 ROWS = np.arange(1024)
 MARKERS = np.where((ROWS // 60) % 3 == 0, 20.0, 1.0)
@@ -49,7 +47,7 @@ def bimodal_px(points: LinePoints, centre_px: ArrayF) -> float:
 
 
 @pytest.mark.parametrize("seed", [1, 2])
-def test_a_halo_on_white_markers_shifts_and_is_taken_out(picture: "Maker", seed: int) -> None:
+def test_a_halo_on_white_markers_shifts_and_is_taken_out(picture, seed):
     """P4 7.2, Fig. 16: over-exposed markers pull the line to one side, the distances become bi-modal."""
     made = picture(
         80 + 0.02 * (ROWS - 512),
@@ -72,7 +70,7 @@ def test_a_halo_on_white_markers_shifts_and_is_taken_out(picture: "Maker", seed:
     assert raw.facts["halo_px"] == 0.0
 
 
-def test_without_a_halo_none_is_found(picture: "Maker") -> None:
+def test_without_a_halo_none_is_found(picture):
     made = picture(width=160, half_width_px=4.0, peak_dn=40.0, brightness=MARKERS)
     points = detect_lines(made.image)
     assert points.facts["halo_px"] == 0.0
@@ -80,7 +78,7 @@ def test_without_a_halo_none_is_found(picture: "Maker") -> None:
     assert abs(bimodal_px(points, made.centre_px)) < 0.05
 
 
-def test_edges_of_the_albedo_and_saturation_are_flagged_where_they_are(picture: "Maker") -> None:
+def test_edges_of_the_albedo_and_saturation_are_flagged_where_they_are(picture):
     made = picture(width=160, half_width_px=4.0, peak_dn=40.0, brightness=MARKERS)
     points = detect_lines(made.image)
     edges = np.flatnonzero(np.diff(MARKERS)) + 1.0
@@ -96,11 +94,11 @@ def test_edges_of_the_albedo_and_saturation_are_flagged_where_they_are(picture: 
     assert complete(points)
 
 
-def test_even_brightness_has_no_edges(picture: "Maker") -> None:
+def test_even_brightness_has_no_edges(picture):
     assert not detect_lines(picture(seed=4).image).has(LineFlag.ALBEDO_EDGE).any()
 
 
-def test_a_known_shift_with_the_width_is_removed() -> None:
+def test_a_known_shift_with_the_width_is_removed():
     rng = generator(1, "shift")
     n = 600
     white = (np.arange(n) // 50) % 2 == 1
@@ -120,7 +118,7 @@ def test_a_known_shift_with_the_width_is_removed() -> None:
     assert not width_shift(x, width, sigma, white, piece, edges[:2], np.ones(n, np.int64)).applied
 
 
-def test_an_edge_is_no_speckle_and_no_new_piece() -> None:
+def test_an_edge_is_no_speckle_and_no_new_piece():
     piece = np.repeat([0, 1], 100)
     peak = np.where(np.arange(200) < 100, 50.0, 150.0) * np.exp(
         0.2 * generator(2, "peaks").standard_normal(200)
@@ -138,7 +136,7 @@ def test_an_edge_is_no_speckle_and_no_new_piece() -> None:
 # ---------------------------------------------------------------- jumps and several lines
 
 
-def test_a_jump_ends_a_piece_and_its_neighbours_are_flagged(picture: "Maker") -> None:
+def test_a_jump_ends_a_piece_and_its_neighbours_are_flagged(picture):
     rows = np.arange(600)
     made = picture(np.where(rows < 300, 40.0, 75.0), width=120)
     points = detect_lines(made.image)
@@ -154,7 +152,7 @@ def test_a_jump_ends_a_piece_and_its_neighbours_are_flagged(picture: "Maker") ->
 
 
 @pytest.mark.parametrize("settings", [LineSettings(lines=5), LineSettings(lines=5, method="lsm")])
-def test_several_lines_each_as_good_as_one(settings: LineSettings) -> None:
+def test_several_lines_each_as_good_as_one(settings):
     rng = generator(1, "noise")
     y = np.arange(300)
     centres = [40 + 30 * k + 8 * np.sin(y / 60 + k) for k in range(5)]
@@ -174,7 +172,7 @@ def test_several_lines_each_as_good_as_one(settings: LineSettings) -> None:
     assert complete(one)
 
 
-def test_rows_or_columns_by_itself() -> None:
+def test_rows_or_columns_by_itself():
     y = np.arange(200)
     light = mean_line_intensity(100 + 0.7 * (y - 100), 200, 4)
     down = grey_values(light, GreyValues(), generator(1, "noise"))
@@ -186,7 +184,7 @@ def test_rows_or_columns_by_itself() -> None:
     assert np.abs(forced.y_px - (100.5 + (forced.x_px - 100) / 0.7))[20:-20].max() < 0.4
 
 
-def test_the_table_is_of_its_kind(picture: "Maker", tmp_path: "Path") -> None:
+def test_the_table_is_of_its_kind(picture, tmp_path):
     points = detect_lines(picture(rows=64).image)
     write_table(tmp_path / "points.parquet", points.to_frame(), LINE_POINTS)
     back, _ = read_table(tmp_path / "points.parquet", LINE_POINTS)
@@ -199,14 +197,14 @@ def test_the_table_is_of_its_kind(picture: "Maker", tmp_path: "Path") -> None:
 # ---------------------------------------------------------------- height of patches
 
 
-def test_heights_grow_to_the_largest() -> None:
+def test_heights_grow_to_the_largest():
     assert heights(21) == [1, 3, 5, 7, 11, 17, 21]
     assert heights(1) == [1]
     assert heights(9) == [1, 3, 5, 7, 9]
 
 
 @pytest.mark.parametrize(("bend_rows", "least", "most"), [(1e9, 13, 21), (9.0, 3, 11), (4.0, 1, 5)])
-def test_the_height_follows_the_surface(bend_rows: float, least: float, most: float) -> None:
+def test_the_height_follows_the_surface(bend_rows, least, most):
     """Waves of 1.5 px, rows with 0.2 px; over h rows of a wave of length 2 pi L a line loses ~ h^2 / L^2."""
     row = np.arange(1000)
     x = 50 + 1.5 * np.sin(row / bend_rows) + 0.2 * generator(3, "rows").standard_normal(1000)
@@ -218,7 +216,7 @@ def test_the_height_follows_the_surface(bend_rows: float, least: float, most: fl
     assert np.median(bias) < 0.1
 
 
-def test_rows_without_a_place_do_no_harm() -> None:
+def test_rows_without_a_place_do_no_harm():
     row = np.r_[np.arange(100), np.arange(104, 200)]
     x = 50 + 0.1 * row + 0.2 * generator(3, "rows").standard_normal(row.size)
     x[50:60] = np.nan
@@ -232,7 +230,7 @@ def test_rows_without_a_place_do_no_harm() -> None:
 # ---------------------------------------------------------------- shift of a series, by hand
 
 
-def test_the_shift_of_a_series_is_a_weighted_mean_with_its_scatter() -> None:
+def test_the_shift_of_a_series_is_a_weighted_mean_with_its_scatter():
     def image(k: float, sigma: float, edges: int) -> dict[str, float]:
         return {"width_shift": k, "sigma_width_shift": sigma, "width_shift_edges": edges}
 
@@ -254,7 +252,7 @@ def test_the_shift_of_a_series_is_a_weighted_mean_with_its_scatter() -> None:
     assert (none.coefficient, none.edges, none.applied) == (0.0, 0, False)
 
 
-def test_the_shift_of_a_series_goes_along_the_direction_of_measurement(picture: "Maker") -> None:
+def test_the_shift_of_a_series_goes_along_the_direction_of_measurement(picture):
     raw = detect_lines(picture(rows=64).image, LineSettings())
     wide = np.full(len(raw), 6.0)
     flags = np.where(np.arange(len(raw)) % 2, int(LineFlag.SATURATED), 0).astype(raw.flags.dtype)

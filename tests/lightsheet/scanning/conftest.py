@@ -1,6 +1,6 @@
 """Scans made in memory: exact lines of the twin with noise, marks of a panel, a fine reference."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numba as nb
@@ -33,7 +33,7 @@ NOISE_PX = 0.15
 
 
 @pytest.fixture(autouse=True)
-def one_thread() -> Iterator[None]:
+def one_thread():
     """Kernels in one thread: with few points, threads cost more than they gain."""
     before = nb.get_num_threads()
     nb.set_num_threads(1)
@@ -42,7 +42,7 @@ def one_thread() -> Iterator[None]:
 
 
 @pytest.fixture(scope="session")
-def exact() -> Sensor:
+def exact():
     """The prototype of P4 without any error of its parameters."""
     return replace(paper_4(), cov=np.zeros((0, 0)))
 
@@ -148,12 +148,12 @@ Simulate = Callable[..., Scan]
 
 
 @pytest.fixture(scope="session")
-def simulated() -> Simulate:
+def simulated():
     """Makes scans, see `simulate`."""
     return simulate
 
 
 @pytest.fixture(scope="session")
-def points_at() -> Callable[..., LinePoints]:
+def points_at():
     """Makes line points, see `line_points`."""
     return line_points

@@ -2,14 +2,12 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 from thalweg.core import GeometryError, InputError, Rigid
-from thalweg.lightsheet.optics import Sensor
 from thalweg.lightsheet.scanning import compare, merge
 from thalweg.lightsheet.scanning.distances import TABLE_3
 from thalweg.lightsheet.scanning.levels import STEP_HEIGHTS_MM
@@ -22,32 +20,32 @@ LINES = 7
 
 
 @pytest.fixture(scope="module")
-def scan(simulated: Simulate, exact: Sensor) -> Any:
+def scan(simulated, exact):
     return simulated(exact, stepped_object(), 4, lines=LINES, step_mm=6.0, beams=140)
 
 
 @pytest.fixture(scope="module")
-def mesh() -> Any:
+def mesh():
     return reference_mesh(stepped_object(), 1, resolution_mm=2.5, without=(1,))
 
 
 @pytest.fixture(scope="module")
-def surface(mesh: Any) -> Surface:
+def surface(mesh):
     return Surface(mesh)
 
 
 @pytest.fixture(scope="module")
-def pairs(scan: Any, mesh: Any) -> tuple[np.ndarray, np.ndarray]:
+def pairs(scan, mesh):
     table = picked_pairs(mesh, scan.tripod, 4, "test").to_numpy()
     return table[:, :3], table[:, 3:]
 
 
 @pytest.fixture(scope="module")
-def found(scan: Any, surface: Surface, pairs: Any) -> compare.Compared:
+def found(scan, surface, pairs):
     return compare.compare_with_levels(scan.cloud, surface, STEP_HEIGHTS_MM, pairs)
 
 
-def test_points_lie_on_the_planes_as_predicted(found: compare.Compared) -> None:
+def test_points_lie_on_the_planes_as_predicted(found):
     facts = found.facts
     d = found.distances.distance_mm[found.used]
     nmad = 1.4826 * np.median(np.abs(d - np.median(d)))
@@ -62,9 +60,7 @@ def test_points_lie_on_the_planes_as_predicted(found: compare.Compared) -> None:
     assert facts["images_with_bad_pose"] == []
 
 
-def test_the_ground_beside_the_object_is_no_level(
-    scan: Any, surface: Surface, pairs: Any, found: compare.Compared
-) -> None:
+def test_the_ground_beside_the_object_is_no_level(scan, surface, pairs, found):
     """It lies 4.9 mm below the lowest level: nearer than the next level, farther than a layer."""
     true = scan.T_obj_ccs.apply(scan.cloud.xyz_m)
     low = (np.abs(true[:, 2]) < 0.002) & (true[:, 0] < -0.06)
@@ -76,7 +72,7 @@ def test_the_ground_beside_the_object_is_no_level(
     assert with_ground.used.sum() == pytest.approx((found.used & ~low).sum(), abs=5)
 
 
-def test_a_bad_pose_is_found_on_planes_too(scan: Any, surface: Surface, pairs: Any) -> None:
+def test_a_bad_pose_is_found_on_planes_too(scan, surface, pairs):
     errors = np.zeros((LINES, 6))
     errors[3, :3] = scan.tripod.R_ccs_obj @ [0.0, 0.0, 0.9e-3]
     cloud = merge(scan.profiles, scan.poses.disturbed(errors))
@@ -88,7 +84,7 @@ def test_a_bad_pose_is_found_on_planes_too(scan: Any, surface: Surface, pairs: A
     assert (table["used"] == (table["reason"] == "")).all()
 
 
-def test_other_heights_are_refused(scan: Any, surface: Surface, pairs: Any) -> None:
+def test_other_heights_are_refused(scan, surface, pairs):
     with pytest.raises(GeometryError, match="growing numbers"):
         compare.compare_with_levels(scan.cloud, surface, (40.135, 20.195, 0.006), pairs)
     # equal errors of all steps are a tilt, and each level then leaves a ramp
@@ -103,7 +99,7 @@ def test_other_heights_are_refused(scan: Any, surface: Surface, pairs: Any) -> N
     assert right.facts["warnings"] == []
 
 
-def test_tables_hold_all_rules_and_the_published_row(found: compare.Compared) -> None:
+def test_tables_hold_all_rules_and_the_published_row(found):
     table = compare.statistics(found, "stepped")
     assert table["points"].unique().tolist() == ["all lines", "without bad poses", "published"]
     assert (table["n_kept"] <= table["n"]).all()
@@ -114,7 +110,7 @@ def test_tables_hold_all_rules_and_the_published_row(found: compare.Compared) ->
     assert "published" not in set(compare.statistics(found, "anchor")["points"])
 
 
-def test_distances_are_a_table_of_all_points(found: compare.Compared, scan: Any) -> None:
+def test_distances_are_a_table_of_all_points(found, scan):
     table = compare.distance_table(found)
     assert len(table) == len(scan.cloud)
     assert table["used"].sum() == found.used.sum()
@@ -122,12 +118,12 @@ def test_distances_are_a_table_of_all_points(found: compare.Compared, scan: Any)
     assert (table["sigma_mm"] >= np.hypot(table["sigma_own_mm"], table["sigma_pose_mm"]) - 1e-6).all()
 
 
-def test_the_motion_comes_back_from_facts(found: compare.Compared, scan: Any) -> None:
+def test_the_motion_comes_back_from_facts(found, scan):
     T: Rigid = compare.to_reference(found.facts)
     np.testing.assert_allclose(T.apply(scan.cloud.xyz_m), found.cloud.xyz_m, rtol=0, atol=1e-12)
 
 
-def test_pairs_are_read_and_mistakes_named(tmp_path: Path) -> None:
+def test_pairs_are_read_and_mistakes_named(tmp_path):
     path = tmp_path / "pairs.csv"
     path.write_text(",".join(compare.PAIR_COLUMNS) + "\n1,2,3,4,5,6\n7,8,9,1,2,3\n")
     scan_m, mesh_m = compare.read_pairs(path)

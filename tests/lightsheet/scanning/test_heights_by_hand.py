@@ -19,7 +19,7 @@ def levels(off_mm: float, own_mm: tuple[float, ...] = (0.2, 0.4)) -> SimpleNames
     )
 
 
-def test_levels_are_refused_beyond_three_times_their_own_roughness() -> None:
+def test_levels_are_refused_beyond_three_times_their_own_roughness():
     """Pooled over 10 and 30 degrees of freedom: sqrt((10 0.04 + 30 0.16) / 40) = 0.3606 mm."""
     _require_heights(levels(3 * 0.3605), (0.0, 10.0))
     with pytest.raises(

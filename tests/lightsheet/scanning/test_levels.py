@@ -29,7 +29,7 @@ def stairs(
     return np.column_stack([x, y, z])
 
 
-def test_errors_of_the_planes_are_what_their_sigmas_say(rng: np.random.Generator) -> None:
+def test_errors_of_the_planes_are_what_their_sigmas_say(rng):
     squares = []
     for _ in range(15):
         tilt = (float(rng.normal(0, 0.01)), float(rng.normal(0, 0.01)))
@@ -49,7 +49,7 @@ def test_errors_of_the_planes_are_what_their_sigmas_say(rng: np.random.Generator
     assert found.plane_n.sum() == found.used.sum()
 
 
-def test_a_single_level_does_not_fix_the_tilt_across(rng: np.random.Generator) -> None:
+def test_a_single_level_does_not_fix_the_tilt_across(rng):
     X = np.column_stack([np.linspace(-100, 100, 200), np.zeros(200), 0.05 * rng.standard_normal(200)])
     with pytest.raises(UnobservableError):
         fit_levels(X, UP, heights_mm=(0.0,))
@@ -59,7 +59,7 @@ def test_a_single_level_does_not_fix_the_tilt_across(rng: np.random.Generator) -
         fit_levels(X, UP, heights_mm=(20.0, 0.0))
 
 
-def test_another_object_is_not_fitted(rng: np.random.Generator) -> None:
+def test_another_object_is_not_fitted(rng):
     X = rng.uniform(-150, 150, (300, 3))
     found = fit_levels(X, UP)
     assert found.used.mean() < 0.2  # three layers of 6 mm in 300 mm: 6 %; the fit may choose the fullest
@@ -100,7 +100,7 @@ def scanned(halo: float) -> tuple[ScanCloud, Levels]:
     return cloud, fit_levels(cloud.xyz_m * 1e3, UP)
 
 
-def test_markers_pull_the_line_and_a_rule_hides_it() -> None:
+def test_markers_pull_the_line_and_a_rule_hides_it():
     """P4 7.2: white markers, over-exposed, with light to one side, are measured aside (C080, C322)."""
     shift = {}
     for halo in (0.0, 0.3):

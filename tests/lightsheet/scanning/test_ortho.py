@@ -17,7 +17,7 @@ from thalweg_lab.tank.plan import strip_plan
 LINES = 5
 
 
-def test_the_orthophoto_shows_the_albedo_of_the_bed() -> None:
+def test_the_orthophoto_shows_the_albedo_of_the_bed():
     sensor, settings = sized(paper_4(), SheetImage(), "tiny")
     plan = strip_plan(sensor, 5, lines=LINES, speed_mmps=40.0, step_mm=2.0)
     names = [f"i{k}" for k in range(LINES)]
@@ -61,7 +61,7 @@ def test_the_orthophoto_shows_the_albedo_of_the_bed() -> None:
         orthophoto(sensor, cloud, images.__getitem__, cell_m=0.001, line_margin_px=5000.0)
 
 
-def test_heights_of_a_plane_with_a_gap(rng: np.random.Generator) -> None:
+def test_heights_of_a_plane_with_a_gap(rng):
     xy = rng.uniform(0.0, 0.2, (4000, 2))
     xy = xy[np.abs(xy[:, 0] - 0.1) > 0.03]
     points = np.column_stack([xy, 0.1 * xy[:, 0] - 0.3 * xy[:, 1] + 5.0])
@@ -81,7 +81,7 @@ def test_heights_of_a_plane_with_a_gap(rng: np.random.Generator) -> None:
         height_grid(points, 1e-6, largest_gap_m=0.01)
 
 
-def test_colours_of_each_kind_of_image() -> None:
+def test_colours_of_each_kind_of_image():
     mosaic = np.zeros((8, 8), dtype=np.uint8)
     mosaic[::2, ::2], mosaic[1::2, 1::2] = 200, 50  # red and blue of RGGB
     mosaic[::2, 1::2] = mosaic[1::2, ::2] = 100

@@ -22,7 +22,7 @@ def marker_errors(rng: np.random.Generator) -> np.ndarray:
     return np.concatenate([0.22 * rng.standard_normal(1448), np.sign(rng.standard_normal(13)) * 7.6])
 
 
-def test_the_published_effect_of_thirteen_gross_errors(rng: np.random.Generator) -> None:
+def test_the_published_effect_of_thirteen_gross_errors(rng):
     once = filtered(marker_errors(rng))
     # 0.75 = sqrt(0.22^2 + 13/1461 7.6^2); the sample of 1448 is good to 2 %
     assert once.std_mm == pytest.approx(0.75, abs=0.02)
@@ -35,7 +35,7 @@ def test_the_published_effect_of_thirteen_gross_errors(rng: np.random.Generator)
     assert all(row[name] == getattr(once, name) for name in row if name != "share_kept")
 
 
-def test_the_rule_decides_about_the_result(rng: np.random.Generator) -> None:
+def test_the_rule_decides_about_the_result(rng):
     errors = np.concatenate([marker_errors(rng), 1.0 + 0.3 * rng.random(60)])
     once, again, robust = (filtered(errors, rule) for rule in ("3 sigma", "3 sigma repeated", "robust"))
     # 60 points of 1 mm lie inside 3 x 0.77 mm, and outside what the rest says of itself
@@ -46,17 +46,17 @@ def test_the_rule_decides_about_the_result(rng: np.random.Generator) -> None:
     assert robust.limit_mm == pytest.approx(3 * 0.22, rel=0.12)
 
 
-def test_published_limits_are_three_times_the_printed_deviation() -> None:
+def test_published_limits_are_three_times_the_printed_deviation():
     for printed in (TABLE_2, TABLE_3):  # to its rounding
         assert printed["limit_mm"].to_numpy() == pytest.approx(3 * printed["std_mm"].to_numpy(), abs=0.016)
 
 
-def test_distances_that_are_none_are_refused() -> None:
+def test_distances_that_are_none_are_refused():
     with pytest.raises(GeometryError, match="1 of them not finite"):
         filtered(np.array([0.1, np.nan, 0.2, 0.3]))
 
 
-def test_two_modes_are_found_and_one_is_not(rng: np.random.Generator) -> None:
+def test_two_modes_are_found_and_one_is_not(rng):
     dark, bright = 0.1 * rng.standard_normal(900), -0.5 + 0.1 * rng.standard_normal(250)
     peak = np.concatenate([40 + 8 * rng.random(900), 250 + rng.random(250)])
     found = bimodality(np.concatenate([dark, bright]), peak, independent_share=0.2)
@@ -76,7 +76,7 @@ def test_two_modes_are_found_and_one_is_not(rng: np.random.Generator) -> None:
         assert "one mode" in answer.words()
 
 
-def test_correlated_neighbours_do_not_make_modes(rng: np.random.Generator) -> None:
+def test_correlated_neighbours_do_not_make_modes(rng):
     wanders = 0.2 * np.repeat(rng.standard_normal(30), 40)
     alone = bimodality(wanders + 0.02 * rng.standard_normal(1200), 100 + rng.random(1200))
     consistent = bimodality(
@@ -86,14 +86,14 @@ def test_correlated_neighbours_do_not_make_modes(rng: np.random.Generator) -> No
     assert not consistent.bimodal
 
 
-def test_otsu_parts_two_classes() -> None:
+def test_otsu_parts_two_classes():
     threshold, above = otsu(np.array([10.0, 11.0, 12.0, 200.0, 220.0]))
     assert above.tolist() == [False, False, False, True, True]
     assert 12 < threshold < 200
 
 
 @pytest.mark.parametrize("rule", ["3 sigma", "3 sigma repeated", "robust"])
-def test_the_rule_is_about_the_middle_and_not_about_zero(rule) -> None:
+def test_the_rule_is_about_the_middle_and_not_about_zero(rule):
     """A reference that lies 10 mm off moves all distances, and changes no verdict on any of them."""
     errors = np.r_[np.tile([-0.2, 0.2], 200), 8.0]
     here, off = filtered(errors, rule), filtered(errors + 10.0, rule)
@@ -104,7 +104,7 @@ def test_the_rule_is_about_the_middle_and_not_about_zero(rule) -> None:
     assert off.std_kept_mm == pytest.approx(0.2, rel=0.002)  # n - 1 of 400
 
 
-def test_spread_counts_one_degree_of_freedom_less() -> None:
+def test_spread_counts_one_degree_of_freedom_less():
     """-1, 0 and 1 have a mean square of 2/3, and a standard deviation of 1."""
     for rule in ("3 sigma", "3 sigma repeated", "robust"):
         found = filtered(np.array([-1.0, 0.0, 1.0]), rule)
@@ -113,7 +113,7 @@ def test_spread_counts_one_degree_of_freedom_less() -> None:
         assert found.nmad_mm == pytest.approx(1.4826, abs=1e-4)
 
 
-def test_shape_of_distances_by_hand() -> None:
+def test_shape_of_distances_by_hand():
     """Of 1, 1, 1, 5: mean 2, variance 3, third moment 6, fourth 21; skewness 2/sqrt(3), kurtosis 7/3."""
     found = normality(np.array([1.0, 1.0, 1.0, 5.0]))
     assert (found["mean_mm"], found["std_mm"], found["nmad_mm"]) == pytest.approx((2.0, 2.0, 0.0))
@@ -142,7 +142,7 @@ def flat(distance_mm: list[float], border: list[bool], far: list[bool]) -> MeshD
     )
 
 
-def test_what_the_border_of_the_mesh_does_by_hand() -> None:
+def test_what_the_border_of_the_mesh_does_by_hand():
     """1 and 3 inside, 8 at the border; 50 and 60 are far, the last one at the border, too."""
     found = flat([1.0, 3.0, 8.0, 50.0, 60.0], [False, False, True, False, True], [False] * 3 + [True] * 2)
     told = border_effect(found)
@@ -158,7 +158,7 @@ def test_what_the_border_of_the_mesh_does_by_hand() -> None:
         border_effect(flat([1.0, 3.0], [False, True], [False] * 2))
 
 
-def test_observed_against_predicted_by_hand() -> None:
+def test_observed_against_predicted_by_hand():
     """3 and 4 with sigmas 1 and 2; the third is left out."""
     d, s = np.array([3.0, -4.0, 100.0]), np.array([1.0, 2.0, 1.0])
     assert consistency(d, s, np.array([True, True, False])) == pytest.approx(
@@ -166,7 +166,7 @@ def test_observed_against_predicted_by_hand() -> None:
     )
 
 
-def test_modes_far_apart_are_told_apart() -> None:
+def test_modes_far_apart_are_told_apart():
     """100 sigmas: the density of the other mode is no number above zero."""
     step = 0.01 * np.tile([-1.0, 1.0], 50)
     found = bimodality(np.r_[step, 1.0 + step], np.r_[np.full(100, 10.0), np.full(100, 90.0)])
@@ -181,7 +181,7 @@ def test_modes_far_apart_are_told_apart() -> None:
     assert found.threshold_dn == pytest.approx(30.0)
 
 
-def test_bright_points_less_dark_ones_by_hand() -> None:
+def test_bright_points_less_dark_ones_by_hand():
     """Means 2 and 1, variances 1 and 3 of three points each, of which half are independent: 1.5 each."""
     d, bright = np.array([1.0, 2.0, 3.0, 0.0, 0.0, 3.0]), np.arange(6) < 3
     shift, sigma = _shift(d, bright, 0.5)
@@ -194,7 +194,7 @@ def test_bright_points_less_dark_ones_by_hand() -> None:
     assert found[1] == 0.0
 
 
-def test_the_threshold_of_two_values_is_their_geometric_mean() -> None:
+def test_the_threshold_of_two_values_is_their_geometric_mean():
     cut, above = otsu(np.array([1.0, 100.0]))
     assert cut == pytest.approx(10.0)
     assert above.tolist() == [False, True]

@@ -61,7 +61,7 @@ def poses_of(folder: Path, images: list[str]) -> SensorPoses:
 NAMES = [f"i{k}.png" for k in range(LINES)]
 
 
-def test_errors_are_what_the_covariance_says(exact: Sensor, tmp_path: Path) -> None:
+def test_errors_are_what_the_covariance_says(exact, tmp_path):
     squares, differences = [], []
     for seed in range(1, 9):
         plan, panel, tripod = recorded(exact, seed, tmp_path)
@@ -85,7 +85,7 @@ def test_errors_are_what_the_covariance_says(exact: Sensor, tmp_path: Path) -> N
     assert low < np.mean(differences) < high
 
 
-def test_pictures_without_a_pose_are_named(exact: Sensor, tmp_path: Path) -> None:
+def test_pictures_without_a_pose_are_named(exact, tmp_path):
     recorded(exact, 1, tmp_path)
     marks = pd.read_csv(tmp_path / "marks.csv")
     marks = marks[marks["file"] != "i1.png"]
@@ -109,7 +109,7 @@ def test_pictures_without_a_pose_are_named(exact: Sensor, tmp_path: Path) -> Non
         poses_of(tmp_path, ["i2.png"])
 
 
-def test_a_panel_read_backwards_in_all_pictures(exact: Sensor, tmp_path: Path) -> None:
+def test_a_panel_read_backwards_in_all_pictures(exact, tmp_path):
     """Half a turn and a mirror: a pose is found for each picture, at 150 times the sigmas of the marks."""
     recorded(exact, 1, tmp_path)
     marks = pd.read_csv(tmp_path / "marks.csv")
@@ -137,7 +137,7 @@ def test_a_panel_read_backwards_in_all_pictures(exact: Sensor, tmp_path: Path) -
         ),
     ],
 )
-def test_bad_files_are_named(exact: Sensor, tmp_path: Path, file: str, content: str, message: str) -> None:
+def test_bad_files_are_named(exact, tmp_path, file, content, message):
     recorded(exact, 1, tmp_path)
     (tmp_path / file).write_text(content)
     with pytest.raises(InputError, match=message):

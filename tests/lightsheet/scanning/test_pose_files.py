@@ -1,7 +1,5 @@
 """Files of sensor poses: what goes in comes out, and foreign files are named."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -29,7 +27,7 @@ def poses(rng: np.random.Generator) -> SensorPoses:
     return found
 
 
-def test_poses_come_back_to_the_bit(tmp_path: Path, rng: np.random.Generator) -> None:
+def test_poses_come_back_to_the_bit(tmp_path, rng):
     given, path = poses(rng), tmp_path / "poses.npz"
     write_poses(path, given)
     found = read_poses(path)
@@ -43,9 +41,7 @@ def test_poses_come_back_to_the_bit(tmp_path: Path, rng: np.random.Generator) ->
     assert again.read_bytes() == path.read_bytes()
 
 
-def test_poses_without_shared_errors_and_without_images_come_back(
-    tmp_path: Path, rng: np.random.Generator
-) -> None:
+def test_poses_without_shared_errors_and_without_images_come_back(tmp_path, rng):
     for keep in (np.array([True, False, True]), np.zeros(3, dtype=bool)):
         given = poses(rng).where(keep)
         bare = given.__class__(
@@ -57,7 +53,7 @@ def test_poses_without_shared_errors_and_without_images_come_back(
         assert found.shared.shape == (keep.sum(), 6, 0)
 
 
-def test_foreign_files_are_named(tmp_path: Path, rng: np.random.Generator) -> None:
+def test_foreign_files_are_named(tmp_path, rng):
     path = tmp_path / "poses.npz"
     write_poses(path, poses(rng))
     whole = path.read_bytes()
@@ -85,7 +81,7 @@ def test_foreign_files_are_named(tmp_path: Path, rng: np.random.Generator) -> No
         assert "poses of the light-sheet sensor" in caught.value.expected
 
 
-def test_the_table_for_people_has_millimetres_and_degrees(rng: np.random.Generator) -> None:
+def test_the_table_for_people_has_millimetres_and_degrees(rng):
     given = poses(rng)
     table = pose_table(given)
     assert table["file"].tolist() == list(given.images)

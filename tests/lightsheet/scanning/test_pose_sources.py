@@ -30,7 +30,7 @@ def mount(rng: np.random.Generator) -> Rigid:
     return Rigid(R=rotation_opk(np.pi, 0.05, 0.2), shift_m=np.array([-0.3, 0.1, 0.25]), cov=A @ A.T)
 
 
-def test_covariance_is_that_of_simulated_errors(rng: np.random.Generator) -> None:
+def test_covariance_is_that_of_simulated_errors(rng):
     trajectory, fixed = boat(rng), mount(rng)
     t = np.array([3e8 + 0.411])
     sigma_t = 0.002
@@ -55,7 +55,7 @@ def test_covariance_is_that_of_simulated_errors(rng: np.random.Generator) -> Non
     assert without.cov[0, 0] < right.cov[0, 0]
 
 
-def test_images_beside_the_trajectory_are_named(rng: np.random.Generator) -> None:
+def test_images_beside_the_trajectory_are_named(rng):
     t = 3e8 + np.array([0.5, 1.2, 9.0, np.nan])
     found = trajectory_poses(boat(rng), mount(rng), list("abcd"), t)
     assert found.reasons == ("", "in a gap of the trajectory", "before or after the trajectory", "no time")

@@ -29,7 +29,7 @@ def places(sensor: Sensor, n: int = 5) -> np.ndarray:
     return project(sensor, xyz)
 
 
-def test_covariance_is_that_of_repeated_measurements(points_at: PointsAt, rng: np.random.Generator) -> None:
+def test_covariance_is_that_of_repeated_measurements(points_at, rng):
     sensor = paper_4()
     xy = places(sensor)
     one = profile(sensor, points_at(xy, 0.3, angle_rad=0.4))
@@ -51,7 +51,7 @@ def test_covariance_is_that_of_repeated_measurements(points_at: PointsAt, rng: n
     assert together[0, 1] == pytest.approx(shared, abs=0.18 * np.sqrt(together[0, 0] * together[1, 1]))
 
 
-def test_pixels_off_the_sheet_are_counted_not_measured(points_at: PointsAt, exact: Sensor) -> None:
+def test_pixels_off_the_sheet_are_counted_not_measured(points_at, exact):
     xy = np.vstack([places(exact), [[1900.0, 1000.0], [5.0, 2040.0]]])
     one = profile(exact, points_at(xy))
     assert len(one) == one.counts["points"] < one.counts["line_points"] == 7
@@ -61,7 +61,7 @@ def test_pixels_off_the_sheet_are_counted_not_measured(points_at: PointsAt, exac
     assert joined_counts([one, one])["line_points"] == 14
 
 
-def test_profiles_of_a_table_stand_in_its_order(points_at: PointsAt, exact: Sensor) -> None:
+def test_profiles_of_a_table_stand_in_its_order(points_at, exact):
     xy = places(exact)
     table = pd.concat(
         [
@@ -81,7 +81,7 @@ def test_profiles_of_a_table_stand_in_its_order(points_at: PointsAt, exact: Sens
         profiles(exact, table.drop(columns="sigma_px"))
 
 
-def test_neighbours_that_share_rows_count_less(rng: np.random.Generator) -> None:
+def test_neighbours_that_share_rows_count_less(rng):
     rows = 7
     white = rng.standard_normal((4000, 400 + rows - 1))
     means = np.stack([white[:, k : k + rows].mean(axis=1) for k in range(400)], axis=1)
@@ -91,7 +91,7 @@ def test_neighbours_that_share_rows_count_less(rng: np.random.Generator) -> None
     assert independent_share(np.array([15, 15]), np.array([3, 9])) == 1.0
 
 
-def test_factors_give_the_covariance_back(rng: np.random.Generator) -> None:
+def test_factors_give_the_covariance_back(rng):
     A = rng.standard_normal((6, 4)) * np.array([1e-3, 1e-3, 1e-3, 1.0, 1.0, 1.0])[:, None]
     root = factor(A @ A.T)
     assert root.shape == (6, 4)

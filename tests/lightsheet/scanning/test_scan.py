@@ -16,7 +16,7 @@ from thalweg.lightsheet.scanning import merge, mesh_distances
 from thalweg.lightsheet.scanning.compare import align, check_lines, from_pairs, scan_against_mesh
 from thalweg.lightsheet.scanning.distances import border_effect, normality
 from thalweg.surface import Surface
-from thalweg_lab.tank import Surface as Object, line_on, wreck
+from thalweg_lab.tank import line_on, wreck
 from thalweg_lab.tank.objects import panel as plane
 from thalweg_lab.tank.series import picked_pairs, reference_mesh
 
@@ -26,26 +26,26 @@ OFF = np.array([1e-3, -1e-3, 0.5e-3, 0.0, 0.0, 0.003])
 
 
 @pytest.fixture(scope="module")
-def hull() -> Object:
+def hull():
     return wreck(1, step_mm=2.0, spars=False)
 
 
 @pytest.fixture(scope="module")
-def reference(hull: Object) -> TriangleMesh:
+def reference(hull):
     return reference_mesh(hull, 1, resolution_mm=1.5, without=(0,))
 
 
 @pytest.fixture(scope="module")
-def surface(reference: TriangleMesh) -> Surface:
+def surface(reference):
     return Surface(reference)
 
 
 @pytest.fixture(scope="module")
-def scan(simulated: Simulate, exact: Sensor, hull: Object) -> Any:
+def scan(simulated, exact, hull):
     return simulated(exact, hull, 4, lines=9, step_mm=5.0, beams=130)
 
 
-def test_merged_points_have_the_covariance_of_simulated_errors(scan: Any, rng: np.random.Generator) -> None:
+def test_merged_points_have_the_covariance_of_simulated_errors(scan, rng):
     cloud, k = scan.cloud, 3
     at = np.flatnonzero(cloud.number == k)[[0, -1]]
     own, one = factor(scan.poses.cov[k]), scan.profiles[k]
@@ -66,7 +66,7 @@ def test_merged_points_have_the_covariance_of_simulated_errors(scan: Any, rng: n
     assert sum(parts) == pytest.approx(cloud.cov_m2[:, 2, 2], rel=1e-5)  # shared parts are kept in float32
 
 
-def test_images_without_a_pose_are_left_out_and_named(scan: Any) -> None:
+def test_images_without_a_pose_are_left_out_and_named(scan):
     reasons = ("", "", "marks hidden") + ("",) * 6
     cloud = merge(scan.profiles, replace(scan.poses, reasons=reasons))
     assert cloud.left_out == {"sheet_002.png": "marks hidden"}
@@ -79,9 +79,7 @@ def test_images_without_a_pose_are_left_out_and_named(scan: Any) -> None:
         merge(scan.profiles, scan.poses.where(np.arange(9) < 5))
 
 
-def test_the_motion_errs_as_its_covariance_says(
-    simulated: Simulate, exact: Sensor, hull: Object, surface: Surface
-) -> None:
+def test_the_motion_errs_as_its_covariance_says(simulated, exact, hull, surface):
     squares, ratios, flagged = [], [], 0
     for seed in range(1, 6):
         one = simulated(exact, hull, seed, lines=8, step_mm=6.0, beams=100)
@@ -100,9 +98,7 @@ def test_the_motion_errs_as_its_covariance_says(
     assert flagged <= 1
 
 
-def test_with_perfect_poses_the_motion_errs_by_its_points(
-    simulated: Simulate, exact: Sensor, hull: Object
-) -> None:
+def test_with_perfect_poses_the_motion_errs_by_its_points(simulated, exact, hull):
     """Patches of five rows: neighbours err alike, and the motion must know."""
     surface = Surface(reference_mesh(hull, 1, resolution_mm=1.5, sigma_mm=0.0, holes=0, without=(0,)))
     squares = []
@@ -140,7 +136,7 @@ def at_place(one: Any, sensor: Sensor, image: str) -> np.ndarray:
     return np.asarray(line.xyz_lcs_mm[keep])
 
 
-def test_bad_poses_are_found_and_only_those(scan: Any, surface: Surface) -> None:
+def test_bad_poses_are_found_and_only_those(scan, surface):
     errors = np.zeros((9, 6))
     errors[2, :3] = scan.tripod.R_ccs_obj @ [0.0, 0.0, 0.8e-3]  # ten sigmas of a height
     errors[6, :3] = scan.tripod.R_ccs_obj @ [0.0, 0.0, -1.2e-3]
@@ -162,7 +158,7 @@ def test_bad_poses_are_found_and_only_those(scan: Any, surface: Surface) -> None
     assert abs(normals["mean_mm"]) < 0.02
 
 
-def test_points_at_holes_of_the_reference_are_left_out(scan: Any, reference: TriangleMesh) -> None:
+def test_points_at_holes_of_the_reference_are_left_out(scan, reference):
     """C326: without the rule, points over a hole have the distance to its rim."""
     aligned = scan.cloud.moved(scan.T_obj_ccs)
     # a hole of 8 mm in the middle of the scan, where the surface is steep enough to feel it
@@ -178,7 +174,7 @@ def test_points_at_holes_of_the_reference_are_left_out(scan: Any, reference: Tri
     assert found.counts()["points"] == len(aligned)
 
 
-def test_a_plane_determines_no_alignment(simulated: Simulate, exact: Sensor) -> None:
+def test_a_plane_determines_no_alignment(simulated, exact):
     flat = plane()
     one = simulated(exact, flat, 2, lines=4, step_mm=5.0, beams=60)
     mesh = TriangleMesh(
@@ -190,14 +186,12 @@ def test_a_plane_determines_no_alignment(simulated: Simulate, exact: Sensor) -> 
     assert check_lines(one.cloud.moved(one.T_obj_ccs), distances).images == []
 
 
-def test_a_wrong_start_is_refused(scan: Any, surface: Surface) -> None:
+def test_a_wrong_start_is_refused(scan, surface):
     with pytest.raises(GeometryError, match="points lie within"):
         align(scan.cloud, surface, scan.T_obj_ccs.moved(np.array([0.5, 0, 0, 0, 0, 0])))
 
 
-def test_errors_of_the_sensor_are_largely_absorbed(
-    simulated: Simulate, exact: Sensor, hull: Object, surface: Surface, rng: np.random.Generator
-) -> None:
+def test_errors_of_the_sensor_are_largely_absorbed(simulated, exact, hull, surface, rng):
     """A calibration error shifts and bends all lines alike; what the alignment leaves of it is told."""
     true = paper_4()
     root = factor(true.cov)
@@ -211,7 +205,7 @@ def test_errors_of_the_sensor_are_largely_absorbed(
     assert np.sqrt(np.mean(ratio**2)) < 2.0
 
 
-def test_picked_pairs_start_the_alignment(scan: Any, reference: TriangleMesh, surface: Surface) -> None:
+def test_picked_pairs_start_the_alignment(scan, reference, surface):
     pairs = picked_pairs(reference, scan.tripod, 4, "test")
     assert pairs.equals(picked_pairs(reference, scan.tripod, 4, "test"))
     a, b = pairs.iloc[:, :3].to_numpy(), pairs.iloc[:, 3:].to_numpy()

@@ -12,12 +12,11 @@ import pandas as pd
 import pytest
 
 from tests.lightsheet.basin import run
-from tests.lightsheet.scanning.scan_files import ScanFiles, pixel_table, scan_files
+from tests.lightsheet.scanning.scan_files import pixel_table, scan_files
 from thalweg.core import GeometryError, InputError, ThalwegError, gps_from_unix
-from thalweg.core.geometry import TriangleMesh
 from thalweg.lightsheet.lines import LineFlag
 from thalweg.lightsheet.optics import paper_4
-from thalweg_lab.tank import Surface as Object, stepped_object, wreck
+from thalweg_lab.tank import stepped_object, wreck
 from thalweg_lab.tank.record import image_name, write_image, write_pulses
 from thalweg_lab.tank.series import reference_mesh
 
@@ -31,28 +30,28 @@ GOOD_MM = 0.2
 
 
 @pytest.fixture(scope="module")
-def hull() -> Object:
+def hull():
     return wreck(1, step_mm=2.0, spars=False)
 
 
 @pytest.fixture(scope="module")
-def mesh(hull: Object) -> TriangleMesh:
+def mesh(hull):
     return reference_mesh(hull, 1, resolution_mm=1.5, without=(0,))
 
 
 @pytest.fixture(scope="module")
-def scan(simulated: Simulate, hull: Object) -> Any:
+def scan(simulated, hull):
     return simulated(SENSOR, hull, 4, lines=7, step_mm=6.0, beams=110)
 
 
 @pytest.fixture
-def files(tmp_path: Path, scan: Any, mesh: TriangleMesh) -> ScanFiles:
+def files(tmp_path, scan, mesh):
     """A scan of the wreck, without a mistake."""
     return scan_files(tmp_path, scan, SENSOR, mesh, sigma_px=NOISE_PX)
 
 
 @pytest.fixture(scope="module")
-def steps(simulated: Simulate, tmp_path_factory: pytest.TempPathFactory) -> tuple[Any, ScanFiles]:
+def steps(simulated, tmp_path_factory):
     """A scan of the stepped object, and its files."""
     object_ = stepped_object()
     found = simulated(SENSOR, object_, 4, lines=7, step_mm=6.0, beams=110)
@@ -83,7 +82,7 @@ def doubted(compare: Callable[[], Any]) -> str:
     return text
 
 
-def test_a_good_scan_has_nothing_to_tell(files: ScanFiles, steps: tuple[Any, ScanFiles]) -> None:
+def test_a_good_scan_has_nothing_to_tell(files, steps):
     assert files.merge()["images_left_out"] == {}
     for facts in (files.compare(), steps[1].compare(LEVELS)):
         assert facts["warnings"] == []
@@ -93,7 +92,7 @@ def test_a_good_scan_has_nothing_to_tell(files: ScanFiles, steps: tuple[Any, Sca
 # ---------------------------------------------------------------- media
 
 
-def test_the_index_of_air(files: ScanFiles) -> None:
+def test_the_index_of_air(files):
     files.change_sensor(SENSOR.with_water(1.0))
     assert re.search("index of the water|medium", doubted(files.compare))
 
@@ -102,7 +101,7 @@ def test_the_index_of_air(files: ScanFiles) -> None:
 
 
 @pytest.mark.parametrize(("x", "y"), [(True, False), (False, True), (True, True)])
-def test_flipped_pictures(files: ScanFiles, scan: Any, x: bool, y: bool) -> None:
+def test_flipped_pictures(files, scan, x, y):
     table = table_of(scan)
     if x:
         table["x_px"] = WIDTH - table["x_px"]
@@ -112,7 +111,7 @@ def test_flipped_pictures(files: ScanFiles, scan: Any, x: bool, y: bool) -> None
     assert "turned or mirrored" in doubted(files.compare)
 
 
-def test_an_empty_or_over_exposed_picture_is_named(files: ScanFiles, scan: Any) -> None:
+def test_an_empty_or_over_exposed_picture_is_named(files, scan):
     """The detector gives no point and says why in line_counts.csv; the scan goes on without the image."""
     table = table_of(scan)
     files.change_points(table[table["file"] != "sheet_003.png"])
@@ -123,7 +122,7 @@ def test_an_empty_or_over_exposed_picture_is_named(files: ScanFiles, scan: Any) 
     assert files.compare()["images_left_out"] == found["images_left_out"]
 
 
-def test_a_picture_of_something_else_is_named(files: ScanFiles, scan: Any) -> None:
+def test_a_picture_of_something_else_is_named(files, scan):
     table = table_of(scan)
     aside = table["file"] == "sheet_002.png"
     table.loc[aside, "x_px"] = WIDTH - 1.0  # beyond the end of the fan
@@ -133,7 +132,7 @@ def test_a_picture_of_something_else_is_named(files: ScanFiles, scan: Any) -> No
     assert "none of" in found["images_left_out"]["sheet_002.png"]
 
 
-def test_no_picture_shows_the_line(files: ScanFiles, scan: Any) -> None:
+def test_no_picture_shows_the_line(files, scan):
     files.change_points(table_of(scan).assign(x_px=WIDTH - 1.0))
     text = told(files.merge, InputError)
     assert "none of 7 images has a point on the light sheet" in text
@@ -143,7 +142,7 @@ def test_no_picture_shows_the_line(files: ScanFiles, scan: Any) -> None:
 # ---------------------------------------------------------------- order
 
 
-def test_images_in_reverse_order(files: ScanFiles, scan: Any, steps: tuple[Any, ScanFiles]) -> None:
+def test_images_in_reverse_order(files, scan, steps):
     files.change_poses(replace(scan.poses, images=scan.poses.images[::-1]))
     assert "belong together" in doubted(files.compare)
     # along parallel planes nothing shows it but lines that disagree
@@ -154,7 +153,7 @@ def test_images_in_reverse_order(files: ScanFiles, scan: Any, steps: tuple[Any, 
     assert "half of the lines lie off" in text
 
 
-def test_lines_that_nothing_explains_are_a_warning(steps: tuple[Any, ScanFiles]) -> None:
+def test_lines_that_nothing_explains_are_a_warning(steps):
     """Heights of all lines are off by tenths of a millimetre: the result stands, and says so."""
     scan, where = steps
     errors = np.zeros((7, 6))
@@ -172,7 +171,7 @@ def test_lines_that_nothing_explains_are_a_warning(steps: tuple[Any, ScanFiles])
 # ---------------------------------------------------------------- brightness
 
 
-def test_over_exposed_points_that_lie_aside_are_a_warning(files: ScanFiles, scan: Any) -> None:
+def test_over_exposed_points_that_lie_aside_are_a_warning(files, scan):
     """P4 7.2: every fourth stretch of the line is white, and measured two pixels aside."""
     table = table_of(scan)
     white = (table["y_px"] // 100) % 4 == 0
@@ -196,7 +195,7 @@ def test_over_exposed_points_that_lie_aside_are_a_warning(files: ScanFiles, scan
 
 
 @pytest.fixture
-def tripod(tmp_path: Path, scan: Any) -> Callable[..., Path]:
+def tripod(tmp_path, scan):
     """Runs `locate_sheet_sensor` on the scan; images are named by the camera clock, one a second."""
     stamps = (1_620_808_267 + np.arange(7)) * 1_000_000
     names = [image_name(int(t)) for t in stamps]
@@ -236,7 +235,7 @@ def tripod(tmp_path: Path, scan: Any) -> Callable[..., Path]:
     return locate
 
 
-def test_poses_of_a_good_recording(tripod: Callable[..., Path]) -> None:
+def test_poses_of_a_good_recording(tripod):
     table = pd.read_csv(tripod())
     assert table["reason"].isna().all()
     assert np.diff(table["t_gps_s"]) == pytest.approx(1.0)

@@ -1,12 +1,8 @@
 """The sensor on the boat: mount, times of its images, points in the world (T 3.2; FW33)."""
 
-from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import numpy as np
-import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
@@ -24,7 +20,6 @@ from thalweg.core.calibration import Calibration, Source, pose_block
 from thalweg.core.las import read_laz
 from thalweg.ingest.photos import read_image_stamps
 from thalweg.lidar import cloud_covariance
-from thalweg.lightsheet.optics import Sensor
 from thalweg.lightsheet.scanning import BED_POINTS, image_times
 from thalweg.lightsheet.scanning.world import (
     EXTRA_DIMENSIONS,
@@ -48,7 +43,7 @@ def with_sigma(R: np.ndarray, shift_m: list[float], sigma_m: float, sigma_deg: f
     return Rigid(R=R, shift_m=np.array(shift_m), cov=C)
 
 
-def test_the_mount_goes_through_a_calibration_file(rng: np.random.Generator) -> None:
+def test_the_mount_goes_through_a_calibration_file(rng):
     A = rng.normal(0, 1e-3, (6, 6))
     mount = Rigid(R=rotation_opk(np.pi, 0.02, 0.4), shift_m=np.array([-0.4, 0.2, 0.3]), cov=A @ A.T)
     block, cov = pose_block(MOUNT, mount, target="ics", source="lcs")
@@ -59,7 +54,7 @@ def test_the_mount_goes_through_a_calibration_file(rng: np.random.Generator) -> 
 
 
 @pytest.fixture(scope="module")
-def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[pd.DataFrame, Any]:
+def recorded(tmp_path_factory):
     """Stamps of eight triggered images, one of whose pulses was lost."""
     folder = tmp_path_factory.mktemp("images")
     shots = trigger(3, 0.4 * np.arange(8), START, name="test", lost=1)
@@ -68,7 +63,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[pd.DataFrame, An
     return read_image_stamps(folder).table, shots
 
 
-def test_images_have_the_times_of_their_pulses(recorded: tuple[pd.DataFrame, Any]) -> None:
+def test_images_have_the_times_of_their_pulses(recorded):
     stamps, shots = recorded
     names = stamps["file"].tolist()
     times, facts = image_times(stamps, shots.pulse_gps_s, names)
@@ -81,7 +76,7 @@ def test_images_have_the_times_of_their_pulses(recorded: tuple[pd.DataFrame, Any
     assert 0.0005 < times["sigma_s"].to_numpy()[~matched][0] < 0.01
 
 
-def test_images_out_of_order_or_of_another_run_are_refused(recorded: tuple[pd.DataFrame, Any]) -> None:
+def test_images_out_of_order_or_of_another_run_are_refused(recorded):
     stamps, shots = recorded
     names = stamps["file"].tolist()
     names[2], names[5] = names[5], names[2]
@@ -111,9 +106,7 @@ def boat(t_gps_s: np.ndarray) -> Trajectory:
     )
 
 
-def test_bed_points_lie_in_the_world_with_their_covariance(
-    simulated: Callable[..., Any], exact: Sensor, recorded: tuple[pd.DataFrame, Any], tmp_path: Path
-) -> None:
+def test_bed_points_lie_in_the_world_with_their_covariance(simulated, exact, recorded, tmp_path):
     stamps, shots = recorded
     names = stamps["file"].tolist()
     times, _ = image_times(stamps, shots.pulse_gps_s, names)

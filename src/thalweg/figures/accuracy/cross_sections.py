@@ -249,7 +249,7 @@ def _draw_row(
     box = zoom_box(section, place)
     for ax, size in ((whole, 1.2), (zoom, 9.0)):
         if water_m is not None:
-            ax.axhline(water_m, color=BLUE, lw=0.8, ls=(0, (6, 2)), zorder=1, gid="water")
+            ax.axhline(water_m, color=BLUE, lw=0.8, ls=(0, (6, 2)), zorder=1)
         ax.scatter(
             reference[:, 0], reference[:, 1], s=0.5 * size, color="0.55", lw=0, zorder=2, rasterized=True
         )
@@ -265,20 +265,17 @@ def _draw_row(
             lw=0,
             zorder=3,
             rasterized=True,
-            gid="cloud",
             plotnonfinite=False,
         )
         width = 0.8 if ax is whole else 1.3
-        ax.add_collection(
-            LineCollection(list(lines), colors="black", linewidths=width, zorder=4, gid="reference")
-        )
+        ax.add_collection(LineCollection(list(lines), colors="black", linewidths=width, zorder=4))
         ax.set_aspect("equal")
         ax.xaxis.set_major_locator(MaxNLocator(8 if ax is whole else 4, steps=[1, 2, 5, 10]))
         ax.yaxis.set_major_locator(MaxNLocator(6, steps=[1, 2, 5, 10]))
     whole.set(xlim=section.across_m, ylim=section.height_m)
     zoom.set(xlim=box[:2], ylim=box[2:])
     frame = Rectangle((box[0], box[2]), box[1] - box[0], box[3] - box[2], fill=False, ec="black", lw=0.9)
-    frame.set(zorder=6, gid="zoom")
+    frame.set(zorder=6)
     whole.add_patch(frame)
     for spine in zoom.spines.values():
         spine.set_visible(True)

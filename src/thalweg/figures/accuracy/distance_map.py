@@ -19,7 +19,7 @@ from matplotlib.ticker import MaxNLocator
 from thalweg.accuracy import CLOUD_TO_MESH
 from thalweg.core import ArrayF, ArrayI, read_json, read_table
 from thalweg.core.geometry import RayCaster, TriangleMesh, read_mesh
-from thalweg.figures import WIDTH_MM, colour_bar, count, new_figure, round_length, scale_bar, styled
+from thalweg.figures import WIDTH_MM, colour_bar, count, new_figure, round_length, scale_bar, styled, thinned
 from thalweg.figures.accuracy.distances import bank_frame_of, compared, round_limit_m, statistics_text
 from thalweg.surface import BankFrame
 
@@ -125,11 +125,11 @@ def distance_map(
     """
     used = compared(table)
     distance_m = used["distance_m"].to_numpy()
-    drawn = used.iloc[:: -(-len(used) // max_points)]
+    drawn = thinned(used, max_points)
     aside = table[table["at_border"] & ~table["used"] & (table["distance_m"].abs() <= max_distance_m)]
     place, place_aside = (
         bank.to_bank(each[["east_m", "north_m", "up_m"]].to_numpy())
-        for each in (drawn, aside.iloc[:: max(1, -(-len(aside) // max_points))])
+        for each in (drawn, thinned(aside, max_points))
     )
     pieces = strips(np.concatenate([place, place_aside]))
     # strips fill the width unless they would be too high
@@ -209,7 +209,7 @@ def _draw_reference(ax: Axes, caster: RayCaster, piece: Strip, width_px: int = 1
     light = np.clip(hits.normal @ (_LIGHT / np.linalg.norm(_LIGHT)), 0.0, 1.0)
     grey = np.where(hits.primitive >= 0, 0.62 + 0.33 * light, 1.0).reshape(height_px, width_px)
     box = (*piece.along_m, piece.up_slope_m[1] - height_px * pixel, piece.up_slope_m[1])
-    ax.imshow(grey, extent=box, cmap="gray", vmin=0, vmax=1, interpolation="antialiased", gid="reference")
+    ax.imshow(grey, extent=box, cmap="gray", vmin=0, vmax=1, interpolation="antialiased")
 
 
 def _draw_cells(

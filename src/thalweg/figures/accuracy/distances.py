@@ -204,7 +204,7 @@ def _quantiles(ax: Axes, d: ArrayF, limit: float) -> None:
     ax.axhline(0.0, color="black", lw=0.7, zorder=1)
     ax.plot(z, 100 * (np.mean(d) + np.std(d) * z), color=VERMILION, lw=1.5, label="normal fit")
     ax.plot(z, 100 * (median + nmad * z), color=BLUE, lw=1.5, ls="--", label="robust fit")
-    ax.plot(z, 100 * found, ".", color="black", ms=2.5, label="distances", gid="quantiles")
+    ax.plot(z, 100 * found, ".", color="black", ms=2.5, label="distances")
     ax.set_ylim(-100 * limit, 100 * limit)
     ax.set_xlim(-SIGMAS - 0.1, SIGMAS + 0.1)
     within = 100.0 * float(np.mean(np.abs(d - median) <= 1.959964 * nmad)) if nmad > 0 else 100.0
@@ -310,7 +310,6 @@ def _draw_rmse(
             lw=0.7,
             ls=(0, (1, 1.5)),
             label="observed, outliers included",
-            gid="all",
             zorder=1,
         )
     ax.set_ylabel("RMSE / mm")
@@ -319,7 +318,7 @@ def _draw_rmse(
 def _draw_counts(ax: Axes, r: ArrayF, n: ArrayF) -> None:
     """Points per class in red on an axis of their own, as the paper draws them."""
     right = ax.twinx()
-    right.step(r, n, where="mid", color=RED, lw=0.9, gid="counts")
+    right.step(r, n, where="mid", color=RED, lw=0.9)
     # The curves of the errors keep the upper part of the panel.
     right.set_ylim(0.0, 2.2 * n.max())
     right.yaxis.set_major_locator(MaxNLocator(5, integer=True))
@@ -336,11 +335,11 @@ def _draw_ratio(ax: Axes, kept: pd.DataFrame, many: ArrayB) -> None:
     r = kept["range_m"].to_numpy()
     ratio, low, high = (kept[name].to_numpy() for name in ("ratio", "ratio_low95", "ratio_high95"))
     shown, outside = np.isfinite(ratio), ~kept["inside"].to_numpy(bool)
-    ax.fill_between(r, low, high, step="mid", color=VERMILION, alpha=0.15, lw=0, gid="band")
+    ax.fill_between(r, low, high, step="mid", color=VERMILION, alpha=0.15, lw=0)
     ax.axhline(1.0, color=VERMILION, lw=1.0, ls="--")
     ax.plot(r[shown], ratio[shown], color=BLUE, lw=0.8, marker="o", gid="ratio")
     ax.plot(r[shown & ~many], ratio[shown & ~many], "o", color=BLUE, mfc="white")
-    ax.plot(r[outside], ratio[outside], "o", ms=6.5, mfc="none", mec="black", mew=0.9, gid="outside")
+    ax.plot(r[outside], ratio[outside], "o", ms=6.5, mfc="none", mec="black", mew=0.9)
     values = np.concatenate([ratio[shown], low[many], high[many], [0.5, 2.0]])
     values = np.clip(values[np.isfinite(values) & (values > 0)], 1.0 / MOST_RATIO, MOST_RATIO)
     ax.set_yscale("log", base=2)

@@ -34,7 +34,7 @@ from thalweg.figures import (
     styled,
 )
 from thalweg.figures.cloud import Splat, choose_segment
-from thalweg.figures.survey import map_extent
+from thalweg.figures.survey import map_extent, track_of
 from thalweg.lidar import sample_cloud
 
 EYE_M: Final = 1.7
@@ -265,9 +265,7 @@ def _draw_panorama(ax: Axes, splat: Splat[PanoramaView]) -> None:
     limits = robust_limits(splat.buffers(radius)[1], 1.0, 99.0)
     table = REFLECTANCE_MAP(np.linspace(0.0, 1.0, 256))[:, :3]
     picture = splat.image(table, limits, radius_px=radius, shading=0.35, background=(0.0, 0.0, 0.0))
-    ax.imshow(
-        picture, extent=splat.view.extent_deg, interpolation="antialiased", gid="panorama", aspect="equal"
-    )
+    ax.imshow(picture, extent=splat.view.extent_deg, interpolation="antialiased", aspect="equal")
     ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value % 360:g}"))
     ax.set(xlabel="azimuth, clockwise from north / °", ylabel="elevation / °")
     look = {"location": "bottom", "pad": 0.02, "aspect": 50, "shrink": 0.7, "extend": "both"}
@@ -284,7 +282,7 @@ def _draw_plan(
     counts: Mapping[int, int],
 ) -> None:
     eye = view.viewpoint_wcs_m
-    track = np.where(trajectory.valid[:, None], trajectory.position_wcs_m[:, :2], np.nan)
+    track = track_of(trajectory)
     places = np.concatenate([track[trajectory.valid], eye[None, :2]])
     step = max(1, len(sample) // MAP_POINTS)
     points, which = sample[::step, :2], source[::step]
@@ -292,18 +290,16 @@ def _draw_plan(
     order = np.argsort((np.arange(len(points)) * 2_654_435_761) % 2**32)
     colours = {int(k): STATION_COLOURS[i % len(STATION_COLOURS)] for i, k in enumerate(np.unique(source))}
     drawn = [colours[int(k)] for k in which[order]]
-    ax.scatter(
-        points[order, 0], points[order, 1], c=drawn, s=0.5, lw=0, alpha=0.6, rasterized=True, gid="scans"
-    )
+    ax.scatter(points[order, 0], points[order, 1], c=drawn, s=0.5, lw=0, alpha=0.6, rasterized=True)
     for k, colour in colours.items():
         ax.plot([], [], "s", color=colour, label=f"scan {names.get(k, k)}, n = {count(counts[k])}")
     ax.plot(*track.T, color="black", lw=0.9, label="track of the boat", gid="track", path_effects=HALO)
     label = "viewpoint of the upper picture, on the track"
-    ax.plot(*eye[:2], "^", ms=7, mfc=RED, mec="white", mew=0.8, zorder=6, label=label, gid="viewpoint")
+    ax.plot(*eye[:2], "^", ms=7, mfc=RED, mec="white", mew=0.8, zorder=6, label=label)
     left, right, _, _ = view.extent_deg
     # Wedges turn anticlockwise from east, azimuths clockwise from north.
     sector = Wedge((float(eye[0]), float(eye[1])), 1.3 * view.distance_m, 90.0 - right, 90.0 - left)
-    sector.set(facecolor=(*to_rgb(RED), 0.1), edgecolor=RED, linewidth=0.8, zorder=2, gid="sector")
+    sector.set(facecolor=(*to_rgb(RED), 0.1), edgecolor=RED, linewidth=0.8, zorder=2)
     ax.add_patch(sector)
     show_plan(ax, *map_extent(places, sample))
     marks_in_free_corners(ax, np.concatenate([points, places]))

@@ -95,7 +95,7 @@ def _side(
 ) -> None:
     xy, _ = view.apply(points)
     draw_outlines(ax, [cone], view, colour="black", lw=0.9)
-    ax.scatter(xy[:, 0], xy[:, 1], c=elapsed, norm=Normalize(0, span), **_DOTS, zorder=1, gid="side")
+    ax.scatter(xy[:, 0], xy[:, 1], c=elapsed, norm=Normalize(0, span), **_DOTS, zorder=1)
     ax.set_aspect("equal")
     ax.set_xlim(*limits[:, 0])
     ax.set_ylim(*limits[:, 1])
@@ -110,7 +110,7 @@ def _along_axis(ax: Axes, cone: FieldCone, points: ArrayF, elapsed: ArrayF, span
     xy = local[far, :2] / radius[:, None]
     turn = np.linspace(0, 2 * np.pi, 181)
     ax.fill(np.cos(turn), np.sin(turn), facecolor="none", edgecolor="black", lw=0.9, zorder=3)
-    ax.scatter(xy[:, 0], xy[:, 1], c=elapsed[far], norm=Normalize(0, span), **_DOTS, zorder=2, gid="along")
+    ax.scatter(xy[:, 0], xy[:, 1], c=elapsed[far], norm=Normalize(0, span), **_DOTS, zorder=2)
     ax.set_aspect("equal")
     ax.set(
         xlim=(-REACH, REACH),

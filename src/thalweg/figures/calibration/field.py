@@ -40,6 +40,7 @@ from thalweg.figures import (
     round_length,
     scale_bar,
     styled,
+    thinned,
 )
 from thalweg.figures.calibration.tables import (
     XYZ,
@@ -188,7 +189,6 @@ def draw_cones(
         edgecolors=rgba[order],
         linewidths=0.2,
         zorder=3,
-        gid="cones",
         rasterized=True,
     )
     ax.add_collection(body)
@@ -201,7 +201,7 @@ def draw_outlines(
     for cone in cones:
         xy, _ = view.apply(cone.surface(along=1))
         apex, base = xy[0, 0], xy[1]
-        ax.plot(base[:, 0], base[:, 1], color=colour, lw=lw, zorder=2, gid="outline")
+        ax.plot(base[:, 0], base[:, 1], color=colour, lw=lw, zorder=2)
         way = base - apex
         middle = way.mean(axis=0)
         if np.linalg.norm(middle) < 1e-9:
@@ -209,7 +209,7 @@ def draw_outlines(
         turn = np.arctan2(middle[0] * way[:, 1] - middle[1] * way[:, 0], way @ middle)
         if np.ptp(turn) < np.pi:  # seen from the side: the apex is not inside the base
             for k in (int(np.argmin(turn)), int(np.argmax(turn))):
-                ax.plot(*np.stack([apex, base[k]]).T, color=colour, lw=lw, zorder=2, gid="outline")
+                ax.plot(*np.stack([apex, base[k]]).T, color=colour, lw=lw, zorder=2)
 
 
 def name_cones(ax: Axes, cones: Sequence[FieldCone], view: Oblique, *, dy_points: float = 9.0) -> None:
@@ -357,7 +357,7 @@ def draw_sensors(
     for k, sensor in enumerate(poses["sensor"]):
         own, marker, _ = SENSORS[sensor]
         look = {"arrowstyle": "-|>", "color": colour or own, "lw": 1.1, "shrinkA": 3, "shrinkB": 0}
-        ax.annotate("", end[k], xytext=start[k], zorder=4, gid="z-axis", arrowprops=look)
+        ax.annotate("", end[k], xytext=start[k], zorder=4, arrowprops=look)
         words = position.replace("_", " ") if k == 0 else None
         ax.plot(
             *start[k], marker, ms=6, color=colour or own, mfc="white" if position else None, mew=1.2,
@@ -459,7 +459,7 @@ def field_reference(
     axes = figure.subplots(2, 2)
     _reference(axes[0, 0], field_points, list(bodies.values()))
     _image(axes[0, 1], image, marks, image_name)
-    shown = used.iloc[:: max(-(-len(used) // POINTS_SHOWN), 1)]
+    shown = thinned(used, POINTS_SHOWN)
     colours = {name: CONE_COLOURS[k % len(CONE_COLOURS)] for k, name in enumerate(bodies)}
     _on_cones(axes[1, 0], shown, bodies, c=shown["cone"].astype(str).map(colours))
     part = f", {count(len(shown))} of {count(len(used))} shown" if len(shown) < len(used) else ""
@@ -488,7 +488,6 @@ def _reference(ax: Axes, points: pd.DataFrame, bodies: Sequence[FieldCone]) -> N
         norm=Normalize(*limits),
         lw=0,
         zorder=4,
-        gid="reference",
     )
     name_cones(ax, bodies, REFERENCE_VIEW)
     _frame(ax, np.concatenate([xy, REFERENCE_VIEW.apply(_surface(bodies))[0]]))
@@ -505,10 +504,10 @@ def _image(ax: Axes, image: ArrayU8, marks: pd.DataFrame, name: str) -> None:
     scale = round_length(VECTOR_SHARE * w / max(large, 1e-6))
     # pixel coordinates count from the corner: the picture fills 0..w, 0..h
     ax.imshow(image, cmap="gray", extent=(0, w, h, 0), interpolation="antialiased", alpha=0.75)
-    ax.plot(*xy[used].T, ".", ms=2.0, color=SKY, gid="marks")
+    ax.plot(*xy[used].T, ".", ms=2.0, color=SKY)
     if not used.all():
         words = f"{plural((~used).sum(), 'mark')} rejected"
-        ax.plot(*xy[~used].T, "x", ms=4, color=ORANGE, gid="rejected", label=words)
+        ax.plot(*xy[~used].T, "x", ms=4, color=ORANGE, label=words)
         ax.legend(loc="lower right")
     ax.quiver(
         *xy[used].T,
@@ -518,7 +517,6 @@ def _image(ax: Axes, image: ArrayU8, marks: pd.DataFrame, name: str) -> None:
         scale=1.0,
         color=ORANGE,
         width=0.003,
-        gid="residuals",
         zorder=5,
     )
     ax.set(xlim=(0, w), ylim=(h, 0), xticks=[], yticks=[])
@@ -543,7 +541,6 @@ def _on_cones(
         xy = view.apply(xyz)[0] + at
         ax.scatter(
             xy[:, 0], xy[:, 1], s=2.2, c=c[names == name], **look, lw=0, zorder=4, rasterized=True,
-            gid=f"cone-{name}",
         )  # fmt: skip
         moved = replace(cone, apex_m=at @ view.axes[:2])
         draw_outlines(ax, [moved], view)

@@ -6,8 +6,8 @@ from typing import Final
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
+from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from thalweg.figures import (
     BLUE,
@@ -22,13 +22,11 @@ from thalweg.figures import (
     plural,
     styled,
 )
+from thalweg.figures.survey import plain_numbers
 
 STYLE: Final = ((BLUE, "o"), (VERMILION, "s"), (GREEN, "^"), (PURPLE, "D"), (ORANGE, "v"), (SKY, "P"))
 PUBLISHED: Final = (("deg", (0.067, 0.035, 0.015)), ("m", (1.0e-3, 0.4e-3, 0.2e-3)))
 """Sigmas of P2 Table 1, six cones and three positions, largest first."""
-
-
-# ---------------------------------------------------------------- correlations
 
 
 # ---------------------------------------------------------------- design of the field
@@ -99,7 +97,6 @@ def _panel(ax: Axes, part: pd.DataFrame, positions: Sequence[int], unit: str) ->
             ms=3.5,
             lw=1.1,
             label=f"{number} position{'s' if number > 1 else ''}",
-            gid=f"positions-{number}",
         )
     published = factor * np.array(dict(PUBLISHED)[unit])
     ax.axhspan(
@@ -111,7 +108,5 @@ def _panel(ax: Axes, part: pd.DataFrame, positions: Sequence[int], unit: str) ->
         label="P2 Table 1: from the smallest to the largest of three",
     )
     ax.set_yscale("log")
-    ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    ax.yaxis.set_minor_formatter(NullFormatter())
+    plain_numbers(ax.yaxis, LogNorm())
     ax.grid(axis="y")

@@ -229,23 +229,15 @@ def _draw_frame(ax: Axes, points: ArrayF, scanner: ArrayF, patch: Patch) -> None
         norm=norm,
         lw=0,
         rasterized=True,
-        gid="frame",
     )
     place = scanner.mean(axis=0)
-    ax.plot(*place[:2], "^", ms=6, mfc="white", mec="black", zorder=6, label="lidar", gid="scanner")
+    ax.plot(*place[:2], "^", ms=6, mfc="white", mec="black", zorder=6, label="lidar")
     words = f"line of sight of b, {patch.range_m:.1f} m"
     sight = np.stack([place[:2], patch.centre_wcs_m[:2]])
     ax.plot(*sight.T, color=VERMILION, lw=0.8, ls="--", zorder=5, label=words, path_effects=HALO)
     ax.add_patch(
         Polygon(
-            _outline(patch),
-            fill=False,
-            ec=ORANGE,
-            lw=1.8,
-            zorder=6,
-            label="area of b",
-            path_effects=HALO,
-            gid="patch",
+            _outline(patch), fill=False, ec=ORANGE, lw=1.8, zorder=6, label="area of b", path_effects=HALO
         )
     )
     outside = int(np.sum(np.any(np.abs(points[:, :2] - middle) > half, axis=1)))
@@ -293,7 +285,6 @@ def _draw_patch(ax: Axes, points: ArrayF, scanner: ArrayF, patch: Patch, diverge
             edgecolors="0.15",
             linewidths=0.5,
             zorder=3,
-            gid="footprints",
         ),
         autolim=False,
     )
@@ -305,7 +296,7 @@ def _draw_patch(ax: Axes, points: ArrayF, scanner: ArrayF, patch: Patch, diverge
         f"; TLS spot {100 * spot_m:.1f} cm"
     )
     for diameter_m, look in ((size_m, {"fill": False, "ec": RED, "lw": 1.4}), (spot_m, {"fc": RED})):
-        ax.add_patch(Circle(place[one], 0.5 * diameter_m, **look, zorder=6, gid="named-footprint"))
+        ax.add_patch(Circle(place[one], 0.5 * diameter_m, **look, zorder=6))
     colour_bar(ax, RANGE_MAP, norm, "measured range / m", **_BAR)
 
 

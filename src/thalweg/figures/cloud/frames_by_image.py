@@ -165,7 +165,7 @@ def _show(ax: Axes, splat: Splat[ObliqueView], limits: tuple[float, float]) -> N
     table = IMAGE_MAP(np.linspace(0, 1, 1024))[:, :3]
     picture = splat.image(table, limits, radius_px=splat.radius_px(), shading=0.5)
     right, top = view.left_m + view.width_px * view.pixel_m, view.top_m - view.height_px * view.pixel_m
-    ax.imshow(picture, extent=(view.left_m, right, top, view.top_m), interpolation="antialiased", gid="cloud")
+    ax.imshow(picture, extent=(view.left_m, right, top, view.top_m), interpolation="antialiased")
     ax.set_aspect("equal")
 
 
@@ -184,7 +184,6 @@ def _places(ax: Axes, images: FrameImages, limits: tuple[float, float], points: 
         edgecolors="black",
         lw=0.5,
         zorder=4,
-        gid="images",
     )
     without = points == 0
     if without.any():

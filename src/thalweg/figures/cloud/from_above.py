@@ -24,7 +24,7 @@ from thalweg.figures import (
 )
 from thalweg.figures.bathymetry import depth_of
 from thalweg.figures.cloud.views import ObliqueView, Splat
-from thalweg.figures.survey import draw_ends
+from thalweg.figures.survey import draw_ends, track_of
 
 WATER: Final = ListedColormap(cm.oleron_r(np.linspace(0.52, 0.98, 256)), "thalweg_water")
 LAND: Final = ListedColormap(cm.oleron(np.linspace(0.54, 0.96, 256)), "thalweg_land")
@@ -105,7 +105,7 @@ def from_above(
     ax.imshow(picture, extent=(view.left_m, right, bottom, view.top_m), interpolation="antialiased")
     look: dict[str, Any] = {"lw": 1.5, "path_effects": HALO} if cell_m or not len(wet_m) else {"lw": 0.5}
     # a line is broken where no pose is
-    east_north = np.where(path.valid[:, None], path.position_wcs_m[:, :2], np.nan)
+    east_north = track_of(path)
     ax.plot(*east_north.T, color=VERMILION, label="track of the boat", gid="track", **look)
     draw_ends(ax, path)
     ax.legend(loc="upper left", ncols=3, fontsize=7, edgecolor="none", borderaxespad=0.2)

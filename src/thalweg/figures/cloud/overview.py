@@ -170,7 +170,7 @@ def _show(
     table = None if colours is None else colours(np.linspace(0, 1, 256))[:, :3]
     picture = splat.image(table, limits, radius_px=splat.radius_px(), shading=shading, noise_m=noise_m)
     box = extent or (0.0, float(splat.view.width_px), float(splat.view.height_px), 0.0)
-    ax.imshow(picture, extent=box, interpolation="antialiased", gid="cloud")
+    ax.imshow(picture, extent=box, interpolation="antialiased")
 
 
 def _draw_north(ax: Axes, view: ObliqueView, strip_px: float) -> None:

@@ -144,7 +144,6 @@ def _entitle(ax: Axes, reason: Reason, n: int, total: int, *, drawn: int, beyond
         fontsize=7,
         zorder=9,
         path_effects=HALO,
-        gid="note",
     )
 
 
@@ -158,13 +157,13 @@ def _scatter(ax: Axes, xy: ArrayF, limits: ArrayF) -> Drawn:
     """Draw removed points; few of them get large marks. ``limits`` are low and high corner."""
     inside = np.all((xy >= limits[0]) & (xy <= limits[1]), axis=1)
     size = float(np.clip(40.0 / np.sqrt(max(len(xy), 1)), 0.6, 3.0))
-    ax.plot(*xy[inside].T, "o", ms=size, mew=0, color=VERMILION, rasterized=True, zorder=3, gid="removed")
+    ax.plot(*xy[inside].T, "o", ms=size, mew=0, color=VERMILION, rasterized=True, zorder=3)
     ax.plot([], [], "o", ms=3.0, mew=0, color=VERMILION, label="left out")
     return int(inside.sum()), int(np.sum(~inside))
 
 
 def _grey(ax: Axes, xy: ArrayF) -> None:
-    ax.plot(*xy.T, ",", color=KEPT_COLOUR, rasterized=True, zorder=1, gid="kept")
+    ax.plot(*xy.T, ",", color=KEPT_COLOUR, rasterized=True, zorder=1)
     ax.plot([], [], "s", ms=3.0, color=KEPT_COLOUR, label="cloud, even sample")
 
 
@@ -232,7 +231,7 @@ def _section(ax: Axes, scene: Scene, reason: Reason) -> Drawn:
     if margin is not None:
         grows = scene.filters.get("below_water_sigmas") or 0
         label = "limit below the water" + (f", + {grows:g} sigma" if grows else "")
-        ax.axhline(-margin, color=BLUE, lw=0.8, ls="--", zorder=2, label=label, gid="limit")
+        ax.axhline(-margin, color=BLUE, lw=0.8, ls="--", zorder=2, label=label)
     drawn = _scatter(ax, xy, limits)
     ax.set_xlim(*limits[:, 0])
     ax.set_ylim(*limits[:, 1])
@@ -250,7 +249,7 @@ def _from_behind(ax: Axes, scene: Scene, reason: Reason) -> Drawn:
         corner, opposite = np.array([low[1], -high[2]]), np.array([high[1], -low[2]])
         limits = np.stack([np.minimum(limits[0], corner - 0.05), np.maximum(limits[1], opposite + 0.05)])
         size = opposite - corner
-        ax.add_patch(Rectangle((corner[0], corner[1]), size[0], size[1], fill=False, ls="--", gid="hull"))
+        ax.add_patch(Rectangle((corner[0], corner[1]), size[0], size[1], fill=False, ls="--"))
         ax.plot([], [], color="black", ls="--", lw=0.6, label="box of the own boat")
     drawn = _scatter(ax, xy, limits)
     ax.plot(0.0, 0.0, "+", color="black", ms=6, zorder=4, label="INS")
@@ -273,7 +272,7 @@ def _over_time(ax: Axes, scene: Scene, reason: Reason) -> Drawn:
     n, _ = np.histogram(t - first, edges)
     # the sample stands for all
     rate = n * scene.n[reason] / max(len(t), 1) / np.diff(edges)
-    ax.stairs(rate, edges, fill=True, color=VERMILION, gid="removed")
+    ax.stairs(rate, edges, fill=True, color=VERMILION)
     ax.plot([], [], "o", ms=3.0, mew=0, color=VERMILION, label="left out")
     node_t, valid = scene.trajectory.t_gps_s - first, scene.trajectory.valid
     poses, place = np.where(valid, -0.06, np.nan), ax.get_xaxis_transform()
@@ -286,7 +285,6 @@ def _over_time(ax: Axes, scene: Scene, reason: Reason) -> Drawn:
         solid_capstyle="butt",
         clip_on=False,
         label="times with a pose",
-        gid="poses",
     )
     ax.tick_params(axis="x", pad=7)
     ax.set_xlim(edges[0], edges[-1])

@@ -45,9 +45,7 @@ def pose_history(poses: pd.DataFrame, *, title: str = "Place of the fixed camera
         sigma = poses[f"sigma_change_{axis}_m"].to_numpy(float)[good]
         value = poses[f"{axis}_m"].to_numpy(float)[good]
         off = value - np.average(value, weights=sigma**-2)
-        ax.errorbar(
-            number[good], off, yerr=sigma, fmt=marker, ms=4, color=colour, capsize=2, gid=f"place-{axis}"
-        )
+        ax.errorbar(number[good], off, yerr=sigma, fmt=marker, ms=4, color=colour, capsize=2)
         ax.axhline(0.0, color="black", lw=0.7)
         ax.set_ylabel(f"{axis} less mean\n/ m")
         ax.grid(axis="y")

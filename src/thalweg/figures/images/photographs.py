@@ -49,7 +49,7 @@ from thalweg.figures import (
 )
 from thalweg.figures.accuracy import round_above
 from thalweg.figures.calibration import with_units
-from thalweg.figures.survey import map_extent, plain_numbers, sigma_norm
+from thalweg.figures.survey import map_extent, plain_numbers, sigma_norm, track_of
 from thalweg.images import read_all_control_points
 from thalweg.images.model import ControlPoints, ImagePoses
 from thalweg.ingest.photos import Images, named_images
@@ -171,8 +171,7 @@ def _draw_images(figure: Figure, ax: Axes, poses: ImagePoses, trajectory: Trajec
     variance = np.diagonal(poses.cov_pose_wcs[use], axis1=1, axis2=2)[:, :3]
     sigma_mm = 1e3 * np.sqrt(variance.sum(axis=1))
     if trajectory is not None:
-        en = np.where(trajectory.valid[:, None], trajectory.position_wcs_m[:, :2], np.nan)
-        ax.plot(*en.T, color="0.65", lw=0.8, zorder=2, label="trajectory by INS", gid="trajectory")
+        ax.plot(*track_of(trajectory).T, color="0.65", lw=0.8, zorder=2, label="trajectory by INS")
         _draw_lost(ax, poses, trajectory)
     # views to see where the camera looked; z of ccs is the view
     ends = centres[:, :2] + 0.02 * float(np.ptp(ax.get_xlim())) * poses.R_wcs_ccs[use][:, :2, 2]
@@ -188,7 +187,6 @@ def _draw_images(figure: Figure, ax: Axes, poses: ImagePoses, trajectory: Trajec
         edgecolors="black",
         lw=0.4,
         zorder=4,
-        gid="images",
         label="image, with its view",
     )
     bar = figure.colorbar(
@@ -202,7 +200,7 @@ def _draw_lost(ax: Axes, poses: ImagePoses, trajectory: Trajectory) -> None:
     if lost.any():
         place, _, known = trajectory.at(poses.t_gps_s[lost])
         words = f"image without a pose, n = {count(known.sum())}"
-        ax.plot(*place[known, :2].T, "x", ms=4.5, color=RED, zorder=5, gid="lost", label=words)
+        ax.plot(*place[known, :2].T, "x", ms=4.5, color=RED, zorder=5, label=words)
 
 
 def _draw_points(ax: Axes, points: pd.DataFrame) -> None:
@@ -243,14 +241,7 @@ def _draw_vectors(ax: Axes, points: pd.DataFrame, scale: float) -> None:
     start = points[["east_m", "north_m"]].to_numpy()
     key_mm = round_above(0.5 * float(max(np.hypot(off[:, 0], off[:, 1]).max(), 1e-3)))
     arrows = ax.quiver(
-        *start.T,
-        *(scale * off[:, :2]).T,
-        angles="xy",
-        scale_units="xy",
-        scale=1.0,
-        width=0.0028,
-        zorder=8,
-        gid="residuals",
+        *start.T, *(scale * off[:, :2]).T, angles="xy", scale_units="xy", scale=1.0, width=0.0028, zorder=8
     )
     for place, spread in zip(start + scale * off[:, :2], sigma[:, :2], strict=True):
         if np.isfinite(spread).all():
@@ -267,7 +258,7 @@ def _draw_vectors(ax: Axes, points: pd.DataFrame, scale: float) -> None:
             )
     suspect = points["suspect"].to_numpy(bool)
     if suspect.any():
-        ax.plot(*start[suspect].T, "o", ms=12, mfc="none", mec=RED, zorder=8, label="suspect", gid="suspect")
+        ax.plot(*start[suspect].T, "o", ms=12, mfc="none", mec=RED, zorder=8, label="suspect")
     ax.quiverkey(
         arrows,
         0.985,
@@ -294,7 +285,6 @@ def _draw_components(ax: Axes, points: pd.DataFrame) -> None:
             elinewidth=1.0,
             capsize=1.5,
             label=axis,
-            gid=f"component-{axis}",
         )
     ax.axhline(0.0, color="black", lw=0.7, zorder=1)
     ax.set_xlim(-0.6, len(points) - 0.4)

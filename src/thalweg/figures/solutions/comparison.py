@@ -1,7 +1,6 @@
 """Distances to the reference of the clouds by INS, camera and fused trajectory (T Fig. 3.3)."""
 
-from collections.abc import Mapping, Sequence
-from pathlib import Path
+from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -14,7 +13,6 @@ from scipy.stats import norm
 from thalweg.accuracy import (
     ALL,
     CHAINS,
-    CLOUD_TO_MESH,
     LEAST,
     PUBLISHED_CROSSING_M,
     WITHOUT_OUTLIERS,
@@ -22,7 +20,7 @@ from thalweg.accuracy import (
     normalised_distances,
     range_facts,
 )
-from thalweg.core import ArrayF, InputError, read_table, root_mean_square
+from thalweg.core import ArrayF, InputError, root_mean_square
 from thalweg.figures import (
     BLUE,
     GREEN,
@@ -83,12 +81,7 @@ def chains_by_range(
     for name in names:
         of_class = rows[f"{name}_n"].to_numpy()
         lower.step(
-            r,
-            np.where(of_class > 0, of_class, np.nan),
-            where="mid",
-            color=STYLE[name][0],
-            lw=WIDTHS[name],
-            gid=f"counts-{name}",
+            r, np.where(of_class > 0, of_class, np.nan), where="mid", color=STYLE[name][0], lw=WIDTHS[name]
         )
     lower.set_yscale("log")
     lower.set_ylim(0.7, None)
@@ -109,7 +102,7 @@ def chains_by_range(
 
 @styled
 def chain_histograms(
-    tables: Mapping[str, pd.DataFrame],
+    distances: Sequence[pd.DataFrame],
     *,
     limit_m: float | None = None,
     title: str = "Distances to the reference by trajectory",
@@ -118,7 +111,7 @@ def chain_histograms(
 
     Parameters
     ----------
-    tables : chain -> table of kind ``cloud_to_mesh``.
+    distances : tables of kind ``cloud_to_mesh``, in the order of `CHAINS`.
     limit_m : distance at both ends of the axis.
     title : first words of the title.
 
@@ -127,19 +120,18 @@ def chain_histograms(
     InputError : no chain, or a column is missing.
     CoverageError : no point of a chain was compared.
     """
-    names = [name for name in CHAINS if name in tables]
-    if not names:
+    used = {name: compared(table) for name, table in zip(CHAINS, distances, strict=False)}
+    if not used:
         raise InputError("no chain", expected=f"at least one of {', '.join(CHAINS)}")
-    used = {name: compared(tables[name]) for name in names}
-    distances = {name: used[name]["distance_m"].to_numpy() for name in names}
-    limit = limit_m or max(round_limit_m(d) for d in distances.values())
-    n = sum(d.size for d in distances.values())
-    figure = new_figure(98.0, f"{title}, n = {count(n)} points of {len(names)} clouds")
+    of_chains = {name: table["distance_m"].to_numpy() for name, table in used.items()}
+    limit = limit_m or max(round_limit_m(d) for d in of_chains.values())
+    n = sum(d.size for d in of_chains.values())
+    figure = new_figure(98.0, f"{title}, n = {count(n)} points of {len(used)} clouds")
     left, right = figure.subplots(1, 2, width_ratios=[1.5, 1.0])
-    for name in names:
-        _draw_histogram(left, distances[name], ~used[name]["outlier"].to_numpy(bool), name, limit)
-        _draw_normalised(right, normalised_distances(used[name]), name)
-    beyond = ", ".join(f"{IN_WORDS[k]} {100 * np.mean(np.abs(d) > limit):.1f}" for k, d in distances.items())
+    for name, table in used.items():
+        _draw_histogram(left, of_chains[name], ~table["outlier"].to_numpy(bool), name, limit)
+        _draw_normalised(right, normalised_distances(table), name)
+    beyond = ", ".join(f"{IN_WORDS[k]} {100 * np.mean(np.abs(d) > limit):.1f}" for k, d in of_chains.items())
     left.set_title(f"a: all points\nbeyond the axis: {beyond} %")
     left.set_xlim(-100 * limit, 100 * limit)
     left.set_xlabel("behind  \N{LEFTWARDS ARROW}   signed distance / cm   \N{RIGHTWARDS ARROW}  in front")
@@ -185,17 +177,9 @@ def _draw_achieved(ax: Axes, rows: pd.DataFrame, r: ArrayF, names: Sequence[str]
         ax.plot(r, observed, color=colour, lw=1.0, zorder=3)
         words = f"{IN_WORDS[name]}, achieved, n = {total}"
         look: dict[str, Any] = {"color": colour, "ms": 3.2, "zorder": 4}
-        ax.plot(r[many], observed[many], marker, **look, label=words, gid=f"observed-{name}")
+        ax.plot(r[many], observed[many], marker, **look, label=words)
         ax.plot(r[~many], observed[~many], marker, **look, mfc="white")
-        ax.plot(
-            r,
-            predicted,
-            "--",
-            color=colour,
-            lw=1.5,
-            label=f"{IN_WORDS[name]}, predicted",
-            gid=f"predicted-{name}",
-        )
+        ax.plot(r, predicted, "--", color=colour, lw=1.5, label=f"{IN_WORDS[name]}, predicted")
         tops += [observed[many & inside], predicted[many & inside]]
     values = np.concatenate(tops)
     values = values[np.isfinite(values)]
@@ -216,9 +200,9 @@ def _draw_theory(ax: Axes, rows: pd.DataFrame, r: ArrayF, names: Sequence[str]) 
     for name in names:
         colour = STYLE[name][0]
         own = 1e3 * rows[f"{name}_rmse_predicted_3d_m"].to_numpy()
-        ax.plot(r, own, color=colour, lw=WIDTHS[name], ls="--", gid=f"predicted-3d-{name}")
+        ax.plot(r, own, color=colour, lw=WIDTHS[name], ls="--")
         if name in known and np.isfinite(known[name][at]):
-            ax.plot(r, known[name], color=colour, lw=1.1, ls=":", gid=f"published-{name}")
+            ax.plot(r, known[name], color=colour, lw=1.1, ls=":")
             ends.append(float(known[name][at]))
             words = f"{IN_WORDS[name]}, {PUBLISHED_FROM[name]}"
             ax.annotate(
@@ -242,7 +226,7 @@ def _draw_theory(ax: Axes, rows: pd.DataFrame, r: ArrayF, names: Sequence[str]) 
             words += "\nhere INS and camera do not cross"
         else:
             words += f"\nhere (dashed): at {own_m:.1f} m"
-            ax.axvline(own_m, color="black", lw=0.8, ls="--", gid="own-crossing")
+            ax.axvline(own_m, color="black", lw=0.8, ls="--")
     ax.annotate(
         words,
         (high, 0.97),
@@ -293,13 +277,4 @@ def _draw_histogram(ax: Axes, d: ArrayF, kept: ArrayF, name: str, limit: float) 
 def _draw_normalised(ax: Axes, z: ArrayF, name: str) -> None:
     edges = np.linspace(-SIGMAS, SIGMAS, 51)
     n, _ = np.histogram(z, edges)
-    ax.stairs(n / (z.size * np.diff(edges)), edges, color=STYLE[name][0], lw=1.2, gid=f"normalised-{name}")
-
-
-def draw_chain_histograms(*, distances: list[Path], title: str) -> Figure:
-    """Comparisons with the reference, in the order of `CHAINS` -> histograms of the distances."""
-    tables = zip(CHAINS, distances, strict=False)
-    return chain_histograms(
-        {name: read_table(path, CLOUD_TO_MESH)[0] for name, path in tables},
-        title=f"Distances to the reference by trajectory: {title}",
-    )
+    ax.stairs(n / (z.size * np.diff(edges)), edges, color=STYLE[name][0], lw=1.2)

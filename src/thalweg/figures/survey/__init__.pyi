@@ -7,5 +7,6 @@ from .maps import (
     sigma_norm as sigma_norm,
     track_gaps as track_gaps,
     track_length_m as track_length_m,
+    track_of as track_of,
 )
 from .strips import strips_page as strips_page

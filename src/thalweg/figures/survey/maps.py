@@ -1,6 +1,7 @@
 """Where the survey went: map, trajectory with its sigmas and gaps."""
 
 import datetime as dt
+from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final
@@ -17,7 +18,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from numpy.typing import ArrayLike
 from scipy.stats import binned_statistic_2d
 
-from thalweg.core import ArrayF, GeometryError, Trajectory, read_table, unix_from_gps, utc_text_from_gps
+from thalweg.core import ArrayF, GeometryError, Trajectory, unix_from_gps, utc_text_from_gps
 from thalweg.figures import (
     BLUE,
     GREEN,
@@ -36,7 +37,6 @@ from thalweg.figures import (
     scale_bar,
     styled,
 )
-from thalweg.ingest import GNSS_POSITION
 from thalweg.lidar import sample_cloud
 
 GOOD_FIXES: Final = ("fixed", "ppp")
@@ -63,7 +63,8 @@ def survey_map(
     trajectory: Trajectory,
     positions: pd.DataFrame | None = None,
     *,
-    cloud_wcs_m: ArrayF | None = None,
+    points: Sequence[Path] = (),
+    max_points: int = 0,
     crs: str = "",
     title: str = "Survey map",
 ) -> Figure:
@@ -72,20 +73,21 @@ def survey_map(
     Parameters
     ----------
     trajectory : nodes of the ics origin; pieces between invalid nodes are drawn apart.
-    positions : table ``GNSS_POSITION``; epochs that are not fixed are marked where the antenna was.
-    cloud_wcs_m : (n, 3) grey picture behind the track.
+    positions : table `thalweg.ingest.GNSS_POSITION`; those not fixed are marked where the antenna was.
+    points : none, or a cloud for a grey picture behind the track, of which at most ``max_points`` are read.
     crs : name of the map grid of the campaign, for the note on frames.
     title : first words of the title.
     """
     valid = trajectory.valid
     east_north = trajectory.position_wcs_m[:, :2]
-    low, high = map_extent(east_north[valid], cloud_wcs_m)
+    cloud = sample_cloud(points[0], max_points)["xyz_m"] if points else None
+    low, high = map_extent(east_north[valid], cloud)
     first, last = (utc_text_from_gps(t, 0) for t in trajectory.span())
     head = f"{title}, n = {count(valid.sum())} poses, {first[:10]} {first[11:19]} to {last[11:19]} UTC"
     figure = new_figure(plan_height_mm(high[0] - low[0], high[1] - low[1]), head)
     ax = figure.add_subplot()
-    if cloud_wcs_m is not None and len(cloud_wcs_m):
-        _draw_cloud(ax, cloud_wcs_m, low, high)
+    if cloud is not None and len(cloud):
+        _draw_cloud(ax, cloud, low, high)
     elapsed = trajectory.t_gps_s - trajectory.t_gps_s[valid][0]
     scale = Normalize(0.0, elapsed[valid][-1])
     lines = _draw_plan(ax, trajectory, elapsed, TIME_MAP, scale, (low, high), grid=crs)
@@ -208,6 +210,11 @@ def _draw_fixes(ax: Axes, trajectory: Trajectory, positions: pd.DataFrame) -> No
             )
 
 
+def track_of(trajectory: Trajectory) -> ArrayF:
+    """East and north (n, 2) of all nodes; NaN, at which a line breaks, where there is no pose."""
+    return np.where(trajectory.valid[:, None], trajectory.position_wcs_m[:, :2], np.nan)
+
+
 def draw_ends(ax: Axes, trajectory: Trajectory) -> None:
     """Mark where the track begins and where it ends."""
     en = trajectory.position_wcs_m[trajectory.valid, :2]
@@ -224,7 +231,7 @@ def _draw_cloud(ax: Axes, cloud: ArrayF, low: ArrayF, high: ArrayF) -> None:
     # The lower half of the grey scale stays free for the track.
     ax.imshow(
         height.T, origin="lower", cmap="gray", vmin=a - 1.6 * (b - a), vmax=b + 0.25 * (b - a),
-        extent=(low[0], high[0], low[1], high[1]), zorder=1, gid="cloud",
+        extent=(low[0], high[0], low[1], high[1]), zorder=1,
     )  # fmt: skip
     ax.plot([], [], "s", color="0.75", label=f"cloud, n = {count(len(cloud))} points drawn")
 
@@ -251,19 +258,6 @@ def plain_numbers(axis: Axis, norm: Normalize) -> None:
         axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         axis.set_minor_formatter(NullFormatter())
-
-
-def draw_survey_map(
-    *, trajectory: Path, positions: Path, points: list[Path], max_points: int, crs: str, title: str
-) -> Figure:
-    """Trajectory, positions and cloud -> survey map."""
-    return survey_map(
-        Trajectory.read(trajectory),
-        read_table(positions, GNSS_POSITION)[0],
-        cloud_wcs_m=sample_cloud(points[0], max_points)["xyz_m"] if points else None,
-        crs=crs,
-        title=f"Survey map: {title}",
-    )
 
 
 # ---------------------------------------------------------------- trajectory
@@ -331,7 +325,6 @@ def trajectory_sheet(trajectory: Trajectory, *, title: str = "Trajectory") -> Fi
                 edgecolor=RED,
                 hatch="//////",
                 lw=0.5,
-                gid="gap-span",
             )
     panels[0].tick_params(labelbottom=False)
     panels[0].set_xlabel("")

@@ -140,7 +140,6 @@ def _draw_stream(ax: Axes, row: int, report: IntegrityReport, start: float, end:
                 [row + 0.5 * BAR + 0.07] * 2,
                 color=GREEN,
                 lw=1.6,
-                gid="pps",
                 solid_capstyle="butt",
             )
     least = MIN_GAP_SHARE * (end - start)

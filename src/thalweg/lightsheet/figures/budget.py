@@ -1,17 +1,15 @@
 """Budget of the depth by cause, and errors that simpler models of the sheet leave."""
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Final
 
 import numpy as np
 import pandas as pd
-from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from thalweg.core import CoverageError
-from thalweg.figures import GREY, new_figure, plural, styled
+from thalweg.figures import GREY, legend_below, new_figure, plural, styled
 from thalweg.lightsheet.budget import TOTAL, TOTAL_CORRELATED
 from thalweg.lightsheet.figures.views import depth_styles, need
 
@@ -28,7 +26,7 @@ _LEAST_MM: Final = 84.0
 
 
 @styled
-def depth_budget(lines: pd.DataFrame, *, title: str = "Sigma of the depth") -> Figure:
+def depth_budget(lines: pd.DataFrame, *, title: str) -> Figure:
     """A panel for each cause that has a share, and for the total with and without correlations.
 
     Parameters
@@ -49,8 +47,8 @@ def depth_budget(lines: pd.DataFrame, *, title: str = "Sigma of the depth") -> F
         raise CoverageError("no cause of errors", expected="a sensor with a covariance")
     places = lines[lines["cause"] == causes[0]].groupby("depth_mm").size()
     head = (
-        f"{title} by cause in {plural(len(depths), 'depth')}, n = {plural(places.min(), 'place')} "
-        "or more on each line"
+        f"{title}: sigma of the depth by cause in {plural(len(depths), 'depth')}, "
+        f"n = {plural(places.min(), 'place')} or more on each line"
     )
     rows = -(-len(causes) // ACROSS)
     figure = new_figure(max(20.0 + _MM_PER_ROW * rows, _LEAST_MM), head)
@@ -69,7 +67,7 @@ def depth_budget(lines: pd.DataFrame, *, title: str = "Sigma of the depth") -> F
         ax.axis("off")
     label = "standard deviation of the depth / mm; each panel has its own scale"
     figure.supylabel(label if rows > 1 else label.replace("; ", ";\n"), fontsize=8)
-    _legend(figure, list(axes.flat[: len(causes)]))
+    legend_below(figure, *axes.flat[: len(causes)])
     return figure
 
 
@@ -91,30 +89,6 @@ def _panel(
         )
         whole = lines[(lines["depth_mm"] == depth) & (lines["cause"] == TOTAL_CORRELATED)]
         if total and len(whole):
-            ax.plot(
-                whole[along],
-                whole["sigma_depth_mm"],
-                color=colour,
-                ls=style,
-                lw=2.6,
-                alpha=0.45,
-                gid=f"correlated {depth:g}",
-            )
+            ax.plot(whole[along], whole["sigma_depth_mm"], color=colour, ls=style, lw=2.6, alpha=0.45)
     if total and (lines["cause"] == TOTAL_CORRELATED).any():
         ax.plot([], [], color=GREY, lw=2.6, alpha=0.6, label="broad: total with correlations")
-
-
-def _legend(figure: Figure, axes: Sequence[Axes]) -> None:
-    found: dict[str, Artist] = {}
-    for ax in axes:
-        for handle, label in zip(*ax.get_legend_handles_labels(), strict=True):
-            found.setdefault(label, handle)
-    figure.legend(list(found.values()), list(found), loc="outside lower left", ncols=6)
-
-
-def draw_depth_budget(*, budget: Path, title: str) -> Figure:
-    """Budget of the depth of a light-sheet sensor -> figure by cause."""
-    return depth_budget(pd.read_csv(budget), title=f"{title}: sigma of the depth")
-
-
-# ---------------------------------------------------------------- simpler models of the sheet

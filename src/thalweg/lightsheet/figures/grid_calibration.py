@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from thalweg.core import AnyArray, CoverageError, root_mean_square
-from thalweg.figures import GREY, ORANGE, count, new_figure, plural, styled
+from thalweg.figures import GREY, ORANGE, count, new_figure, plural, styled, thinned
 from thalweg.figures.calibration import Oblique
 from thalweg.lightsheet.figures.views import (
     DEPTH_STYLES,
@@ -98,7 +98,7 @@ def _image(
     for k, level in enumerate(levels):
         colour, _, marker = DEPTH_STYLES[k]
         mine = residuals[used & (residuals["level"].astype(str) == level)]
-        shown = mine.iloc[:: max(1, -(-len(mine) // _MOST_POINTS))]
+        shown = thinned(mine, _MOST_POINTS)
         dots(
             ax,
             shown["x_px"],
@@ -107,22 +107,11 @@ def _image(
             marker,
             ms=2.2,
             label=f"{level}: {count(len(mine))} points",
-            gid=f"level {k}",
             zorder=3,
         )
     out = residuals[~used]
     if len(out):
-        dots(
-            ax,
-            out["x_px"],
-            out["y_px"],
-            "black",
-            "x",
-            ms=5,
-            label=f"rejected: {len(out)}",
-            gid="rejected",
-            zorder=4,
-        )
+        dots(ax, out["x_px"], out["y_px"], "black", "x", ms=5, label=f"rejected: {len(out)}", zorder=4)
     ax.set(xlabel="column / px", ylabel="row / px")
     ax.set_title("a: image and observations")
     ax.legend(loc="upper left", bbox_to_anchor=(0.0, -0.2), ncols=2, borderaxespad=0.0)
@@ -152,7 +141,7 @@ def _space(space: Space, sensor: Sensor, pairs: pd.DataFrame, levels: Sequence[s
         depth = float(np.median(end.depth_mm[good]))
         space.words(np.array([outer[0], inner[1], z]), f" {level}, {depth:.0f} mm")
         for path in paths:
-            space.path(path, colour, lw=0.5, alpha=0.7, zorder=7, gid="ray")
+            space.path(path, colour, lw=0.5, alpha=0.7, zorder=7)
         space.dots(points, colour, marker, ms=3, zorder=9)
     for z in (-window.thickness_mm, 0.0):
         space.plate(low, high, z, GLASS_COLOUR, alpha=0.35, zorder=8)
@@ -169,19 +158,11 @@ def _residuals(ax: Axes, residuals: pd.DataFrame, levels: Sequence[str]) -> None
         colour, _, marker = DEPTH_STYLES[k]
         mine = residuals[used & (residuals["level"].astype(str) == level)]
         rms = root_mean_square(mine["residual_px"]) if len(mine) else float("nan")
-        dots(
-            ax,
-            mine[along],
-            mine["residual_px"],
-            colour,
-            marker,
-            label=f"{level}: {rms:.3f} px",
-            gid=f"residuals {k}",
-        )
+        dots(ax, mine[along], mine["residual_px"], colour, marker, label=f"{level}: {rms:.3f} px")
     out = residuals[~used]
     limit = 1.3 * float(residuals.loc[used, "residual_px"].abs().quantile(0.998)) + 1e-6
     shown = out["residual_px"].clip(-limit, limit)
-    dots(ax, out[along], shown, GREY, "x", ms=4, gid="rejected residuals")
+    dots(ax, out[along], shown, GREY, "x", ms=4)
     ax.axhline(0.0, color="0.3", lw=0.6)
     ax.set(xlabel=f"{'row' if along == 'y_px' else 'column'} / px", ylabel="residual / px")
     ax.set_ylim(-1.05 * limit, 1.35 * limit)

@@ -2,19 +2,18 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
-from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator
 
 from thalweg.core import NMAD, AnyArray, ArrayB, ArrayF, CoverageError, read_table
-from thalweg.figures import BLUE, ORANGE, RED, SKY, VERMILION, count, new_figure, plural, styled
+from thalweg.figures import BLUE, ORANGE, RED, SKY, VERMILION, colour_bar, count, new_figure, plural, styled
 from thalweg.figures.accuracy import DISTANCE_MAP
 from thalweg.lightsheet.figures.views import (
     LIGHT_MAP,
@@ -180,11 +179,11 @@ def _profiles(
         fit = rows.iloc[0]
         x, reach = float(fit["x_px"]), 0.8 * _BESIDE * float(fit["width_px"])
         x_px = np.arange(max(int(x - reach), 0), min(int(x + reach) + 1, green.shape[1]))
-        dots(ax, x_px + 0.5, green[at, x_px], colour, marker, label=f"{row} {at}", gid="profile")
+        dots(ax, x_px + 0.5, green[at, x_px], colour, marker, label=f"{row} {at}")
         fine = np.linspace(x_px[0], x_px[-1] + 1.0, 200)
-        ax.plot(fine, gauss_row(fine - x, fit), color=colour, ls=style, lw=1.2, gid="curve")
+        ax.plot(fine, gauss_row(fine - x, fit), color=colour, ls=style, lw=1.2)
         for place in last["x_px"][(last["y_px"] - at - 0.5).abs() < 0.5]:
-            ax.axvline(place, color=colour, lw=0.8, ls=style, gid="place")
+            ax.axvline(place, color=colour, lw=0.8, ls=style)
     ax.set_ylim(0.0, None)
     ax.set_title(f"b: {len(_PROFILE_STYLES)} adjacent {row}s")
     ax.legend(loc="upper left", handlelength=1.0)
@@ -264,15 +263,14 @@ def line_patch(image: AnyArray, points: pd.DataFrame, *, title: str = "Line meas
         (axes[2], left_over, Normalize(-largest, largest), DISTANCE_MAP, "c: what is left"),
     ):
         ax.imshow(values, cmap=colours, norm=norm, extent=extent, aspect="equal", gid=words[0])
-        ax.axvline(x, color=VERMILION, lw=1.0, gid="place")
+        ax.axvline(x, color=VERMILION, lw=1.0)
         ax.set(xlabel=f"{across} / px", ylabel=f"{along} / px" if ax is axes[0] else "")
         ax.set_title(words)
         ax.yaxis.set_major_locator(MaxNLocator(5, integer=True))
         ax.tick_params(labelleft=ax is axes[0])
-    shades = ScalarMappable(bright, LIGHT_MAP.reversed())
-    figure.colorbar(shades, ax=axes[:2], label="grey value", location="bottom", aspect=30, pad=0.02)
-    shades = ScalarMappable(Normalize(-largest, largest), DISTANCE_MAP)
-    figure.colorbar(shades, ax=axes[2], label="difference", location="bottom", aspect=15, pad=0.02)
+    look: dict[str, Any] = {"location": "bottom", "pad": 0.02}
+    colour_bar(axes[:2], LIGHT_MAP.reversed(), bright, "grey value", aspect=30, **look)
+    colour_bar(axes[2], DISTANCE_MAP, (-largest, largest), "difference", aspect=15, **look)
     return figure
 
 
@@ -351,7 +349,6 @@ def sheet_image(image: AnyArray, points: pd.DataFrame, *, title: str = "Laser li
                     marker,
                     ms=size,
                     label=f"{words}: {count(len(mine))}",
-                    gid=f"flag {flag}",
                     zorder=3,
                 )
     right.set_xlim(x0, x0 + side)

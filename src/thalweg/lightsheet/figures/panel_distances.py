@@ -112,17 +112,7 @@ def _detail(ax: Axes, sensor: Sensor, image: AnyArray, points: pd.DataFrame, sho
         look |= {"label": f"{line.depth_mm:.1f} mm"} if near.any() else {}
         ax.plot(x, y, color=colour, ls=style, **look)
     dots(
-        ax,
-        mine["x_px"],
-        mine["y_px"],
-        "black",
-        "o",
-        ms=2.6,
-        mfc="white",
-        mew=0.4,
-        label="measured",
-        gid="measured",
-        zorder=4,
+        ax, mine["x_px"], mine["y_px"], "black", "o", ms=2.6, mfc="white", mew=0.4, label="measured", zorder=4
     )
     ax.set_xlim(left, left + green.shape[1])
     ax.set_ylim(top + green.shape[0], top)
@@ -135,10 +125,10 @@ def _distances(ax: Axes, mine: pd.DataFrame, row: pd.Series, along: str, k: int,
     """Distances of the points of a panel, their mean, and in words those published."""
     colour, _, marker = DEPTH_STYLES[k]
     off = mine["depth_mm"] - mine["expected_depth_mm"]
-    dots(ax, mine[along], off, colour, marker, gid=f"distances {k}")
+    dots(ax, mine[along], off, colour, marker)
     ax.axhline(0.0, color="0.3", lw=0.6)
     if np.isfinite(row["mean_mm"]):
-        ax.axhline(float(row["mean_mm"]), color="black", lw=0.9, ls="--", gid="mean")
+        ax.axhline(float(row["mean_mm"]), color="black", lw=0.9, ls="--")
     ax.set_ylim(-limit, 1.9 * limit)
     words = "no points"
     if row["n"]:

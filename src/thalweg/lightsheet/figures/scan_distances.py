@@ -1,8 +1,7 @@
 """A scan against its reference: distances, and the middle line (P4 Fig. 19 and 20)."""
 
 from collections.abc import Mapping
-from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import pandas as pd
@@ -11,11 +10,10 @@ from matplotlib.collections import PathCollection
 from matplotlib.figure import Figure
 from scipy.stats import norm
 
-from thalweg.core import NMAD, ArrayF, read_json, read_table, robust_sigma
+from thalweg.core import NMAD, ArrayF, robust_sigma
 from thalweg.figures import BLUE, PURPLE, VERMILION, count, new_figure, plural, styled
 from thalweg.figures.accuracy import DISTANCE_MAP
 from thalweg.lightsheet.figures.views import dots, need, spots
-from thalweg.lightsheet.scanning import SCAN_DISTANCES
 
 POINTS: Final = ("file", "x_m", "y_m", "z_m", "distance_mm", "used", "reason")
 BINS: Final = 61
@@ -36,24 +34,24 @@ _GAP: Final = 8.0
 
 
 @styled
-def scan_distances(points: pd.DataFrame, *, reference: str = "mesh", title: str = "Scan") -> Figure:
+def scan_distances(*, distances: pd.DataFrame, facts: Mapping[str, Any], scan: str, title: str) -> Figure:
     """Plan and side view of a scan coloured by distance; histogram with a normal and a robust fit.
 
     Parameters
     ----------
-    points : columns `POINTS`; ``used`` says which have a counterpart on a line with a good pose.
-    reference : of what the distances are: ``mesh`` or ``planes``.
-    title : first words of the title.
+    distances : columns `POINTS`; ``used`` says which have a counterpart on a line with a good pose.
+    facts : ``reference``, of what the distances are: ``mesh`` or ``planes``.
+    scan, title : its name, and first words of the title.
 
     Raises
     ------
     InputError : an empty table, one without used points, or one that lacks columns.
     """
-    need(points, POINTS, "points of the scan")
+    points = need(distances, POINTS, "points of the scan")
     used = need(points[points["used"]], POINTS, "points on the reference")
     d = used["distance_mm"].to_numpy()
     head = (
-        f"{title}: distance from the {reference} {d.mean():+.2f} ± {d.std(ddof=1):.2f} mm, "
+        f"{title}, {scan}: distance from the {facts['reference']} {d.mean():+.2f} ± {d.std(ddof=1):.2f} mm, "
         f"n = {count(len(d))} points of {plural(used['file'].nunique(), 'line')}"
     )
     figure = new_figure(160.0, head)
@@ -126,40 +124,30 @@ def _histogram(
     return float(n.max())
 
 
-def draw_scan_distances(*, distances: Path, facts: Path, scan: str, title: str) -> Figure:
-    """Distances of a scan -> figure of the coloured scan and their histogram."""
-    return scan_distances(
-        read_table(distances, SCAN_DISTANCES)[0],
-        reference=read_json(facts)["reference"],
-        title=f"{title}, {scan}",
-    )
-
-
 @styled
 def scan_profile(
-    points: pd.DataFrame, image: str, *, reference: str = "mesh", title: str = "Profile"
+    *, distances: pd.DataFrame, profile: Mapping[str, Any], facts: Mapping[str, Any], scan: str, title: str
 ) -> Figure:
     """Points along the object; distances along it with their predicted sigma; histogram.
 
     Parameters
     ----------
-    points : columns `PROFILE_POINTS`, of the whole scan.
-    image : name of the image of the line.
-    reference : of what the distances are: ``mesh`` or ``planes``.
-    title : first words of the title.
+    distances : columns `PROFILE_POINTS`, of the whole scan.
+    profile : ``image``, the name of the image of the line.
+    facts, scan, title : see `scan_distances`.
 
     Raises
     ------
     InputError : an empty table, an image without used points, or a table that lacks columns.
     """
-    line = need(points, PROFILE_POINTS, "points of the scan")
+    line, image = need(distances, PROFILE_POINTS, "points of the scan"), profile["image"]
     line = line[line["file"] == image]
     used = need(line[line["used"]], PROFILE_POINTS, f"points of {image} on the reference").sort_values("x_m")
     d, sigma = (used[name].to_numpy() for name in ("distance_mm", "sigma_mm"))
     std = float(d.std(ddof=1)) if len(d) > 1 else 0.0
     head = (
-        f"{title}: middle line {d.mean():+.3f} ± {std:.3f} mm from the "
-        f"{reference}, {100 * (np.abs(d) <= sigma).mean():.0f} % within one predicted sigma, "
+        f"{title}, {scan.replace('_', ' ')}: middle line {d.mean():+.3f} ± {std:.3f} mm from the "
+        f"{facts['reference']}, {100 * (np.abs(d) <= sigma).mean():.0f} % within one predicted sigma, "
         f"n = {count(len(d))} points"
     )
     figure = new_figure(128.0, head)
@@ -212,13 +200,3 @@ def classes(n: int) -> int:
     At most `_MOST_CLASSES`: narrower ones cannot be seen.
     """
     return int(np.clip(round(np.sqrt(n)), 5, _MOST_CLASSES))
-
-
-def draw_scan_profile(*, distances: Path, facts: Path, profile: Path, scan: str, title: str) -> Figure:
-    """Distances of a scan -> figure of its middle line."""
-    return scan_profile(
-        read_table(distances, SCAN_DISTANCES)[0],
-        read_json(profile)["image"],
-        reference=read_json(facts)["reference"],
-        title=f"{title}, {scan.replace('_', ' ')}",
-    )

@@ -14,7 +14,7 @@ from scipy.ndimage import uniform_filter
 
 from thalweg.core import AnyArray, ArrayF, ArrayU8, GeometryError, InputError, read_parquet
 from thalweg.core.geometry import RayCaster, TriangleMesh, read_mesh
-from thalweg.figures import HEIGHT_MAP, count, new_figure, plural, read_picture, styled
+from thalweg.figures import HEIGHT_MAP, count, new_figure, plural, read_picture, styled, thinned
 from thalweg.figures.calibration import Oblique
 from thalweg.lightsheet.figures.views import Space, line_numbers, need, pair, spots
 
@@ -185,10 +185,10 @@ def scan_reference(
         ax.set_ylim(bottom - 14.0, top + 4.0)
         ax.axis("off")
     heights = ScalarMappable(Normalize(float(low[2]), float(high[2])), HEIGHT_MAP)
-    shown = used.iloc[:: max(1, -(-len(used) // _MOST_POINTS))]
+    shown = thinned(used, _MOST_POINTS)
     number, shades = line_numbers(shown["file"])
     xyz = _MM_PER_M * shown[["x_m", "y_m", "z_m"]].to_numpy() + _ABOVE_MM * VIEW.axes[2]
-    spots(scan, *pair(VIEW.apply(xyz)[0].T), shades.to_rgba(number), s=0.7, gid="scan", zorder=3)
+    spots(scan, *pair(VIEW.apply(xyz)[0].T), shades.to_rgba(number), s=0.7, zorder=3)
     for ax, colour, words in ((reference, heights, "z / mm"), (scan, shades, "number of the line")):
         figure.colorbar(colour, ax=ax, label=words, location="bottom", aspect=30, pad=0.02, shrink=0.8)
     reference.set_title("b: reference; axes 25 mm long")
@@ -201,7 +201,6 @@ def _photo(ax: Axes, photo: AnyArray, extent_mm: tuple[float, float, float, floa
     ax.imshow(
         np.clip(bright, 0.0, 1.0) ** BRIGHTENING,
         extent=extent_mm,
-        gid="photo",
         aspect="equal",
         cmap="gray" if bright.ndim == 2 else None,
     )

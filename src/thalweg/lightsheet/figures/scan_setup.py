@@ -84,19 +84,10 @@ def _three(
         marks, both = (
             (part @ poses.R_target_lcs[k].T + poses.shift_m[k])[:, axes] for part in (panel_m, devices)
         )
-        dots(
-            ax,
-            *pair(marks.T),
-            colour,
-            marker,
-            ms=2.4,
-            zorder=3,
-            gid=f"marks {k}",
-            label=f"marks, image {k + 1}",
-        )
+        dots(ax, *pair(marks.T), colour, marker, ms=2.4, zorder=3, label=f"marks, image {k + 1}")
         ax.plot(*both.T, color=colour, lw=0.6, zorder=2)
-        dots(ax, *pair(both[:1].T), colour, "x", ms=6, zorder=4, gid=f"camera {k}")
-        dots(ax, *pair(both[1:].T), colour, "s", ms=5, mfc="none", mew=1.0, zorder=4, gid=f"laser {k}")
+        dots(ax, *pair(both[:1].T), colour, "x", ms=6, zorder=4)
+        dots(ax, *pair(both[1:].T), colour, "s", ms=5, mfc="none", mew=1.0, zorder=4)
     dots(ax, [], [], "black", "x", ms=6, label="camera")
     dots(ax, [], [], "black", "s", ms=5, mfc="none", mew=1.0, label="laser")
     ax.set_aspect("equal", adjustable="datalim")
@@ -124,7 +115,7 @@ def _whole(
     azimuth = float(np.rad2deg(np.arctan2(way[0], way[1]))) + 62.0
     space = Space(ax, Oblique(azimuth_deg=azimuth, elevation_deg=16.0))
     xyz = in_sensor(points[["x_m", "y_m", "z_m"]].to_numpy()[:: max(1, len(points) // _MOST_POINTS)])
-    space.dots(xyz, "0.35", ms=0.8, gid="scan", zorder=2)
+    space.dots(xyz, "0.35", ms=0.8, zorder=2)
     laser, own = sensor.sheet.origin_lcs_mm, sensor.camera_origin_lcs_mm
     low, high = np.minimum(laser, own) - 40.0, np.maximum(laser, own) + 40.0
     for z in (-sensor.window.thickness_mm, 0.0):
@@ -133,7 +124,7 @@ def _whole(
         space.path(np.stack([laser, laser - beam * laser[2] / beam[2]]), LIGHT_COLOUR, lw=1.0, zorder=6)
     space.device(laser, "laser")
     space.device(own, "camera")
-    space.dots(marks, STYLES[1][0], "o", zorder=8, gid="panel")
+    space.dots(marks, STYLES[1][0], "o", zorder=8)
     space.words(marks.mean(axis=0), "   panel")
     width, height = camera.size_px
     corners = camera.rays(np.array([[0.0, 0.0], [width, 0.0], [width, height], [0.0, height]]))
@@ -142,7 +133,7 @@ def _whole(
     for edge in [*(np.stack([eye, corner]) for corner in frame), np.concatenate([frame, frame[:1]])]:
         space.path(edge, PURPLE, lw=0.8, zorder=8)
     space.path(in_sensor(np.array([[0.0, 0.0, 0.0], [0.0, 0.0, far_m]])), PURPLE, lw=0.8, ls=":", zorder=7)
-    space.dots(eye, PURPLE, "o", ms=7, mfc="none", mew=1.6, zorder=9, gid="standing camera")
+    space.dots(eye, PURPLE, "o", ms=7, mfc="none", mew=1.6, zorder=9)
     space.words(eye, "   standing camera")
     space.finish(f"a: the whole; standing camera and panel are {far_m:.2f} m apart")
 

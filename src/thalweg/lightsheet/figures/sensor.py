@@ -6,7 +6,6 @@ from typing import Final
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
@@ -20,6 +19,7 @@ from thalweg.figures import (
     HEIGHT_MAP,
     PURPLE,
     VERMILION,
+    colour_bar,
     legend_below,
     new_figure,
     styled,
@@ -136,11 +136,11 @@ def in_section(sensor: Sensor, points_mm: ArrayF) -> ArrayF:
 def _section(ax: Axes, sensor: Sensor, depth_mm: float, point: ArrayF) -> None:
     laser, eye, thick = sensor.sheet.origin_lcs_mm, sensor.camera_origin_lcs_mm, sensor.window.thickness_mm
     deepest = -thick - 1.6 * depth_mm
-    ax.axhspan(-thick, 0.0, color=GLASS_COLOUR, lw=0, zorder=0, gid="glass")
-    ax.axhspan(deepest, -thick, color=WATER_COLOUR, lw=0, zorder=0, gid="water")
+    ax.axhspan(-thick, 0.0, color=GLASS_COLOUR, lw=0, zorder=0)
+    ax.axhspan(deepest, -thick, color=WATER_COLOUR, lw=0, zorder=0)
     axis = sensor.sheet.beams(np.zeros(1))
     path = beam_paths(laser, axis, sensor.window, 1.5 * depth_mm)[0]
-    ax.plot(*in_section(sensor, path).T, color=LIGHT_COLOUR, lw=1.6, zorder=3, gid="sheet")
+    ax.plot(*in_section(sensor, path).T, color=LIGHT_COLOUR, lw=1.6, zorder=3)
     width, height = sensor.camera.size_px
     view = np.array([[0.5, 0.0], [0.5, 1.0], [0.0, 0.5], [1.0, 0.5], [0.5, 0.5]]) * [width, height]
     rays = sensor.camera.rays(view) @ sensor.R_lcs_ccs.T
@@ -149,9 +149,9 @@ def _section(ax: Axes, sensor: Sensor, depth_mm: float, point: ArrayF) -> None:
     # of the four middles of the picture's edges those two that lie farthest apart bound the view
     order = np.argsort(flat[:4, -1, 0])
     for one, dashes in ((flat[order[0]], "--"), (flat[order[-1]], "--"), (flat[4], "-.")):
-        ax.plot(*one.T, color=BLUE, lw=0.9, ls=dashes, zorder=2, gid="view")
+        ax.plot(*one.T, color=BLUE, lw=0.9, ls=dashes, zorder=2)
     place = in_section(sensor, np.stack([laser, eye, point]))
-    ax.plot(*place[:2].T, color="black", lw=0.8, ls=":", zorder=2, gid="base")
+    ax.plot(*place[:2].T, color="black", lw=0.8, ls=":", zorder=2)
     dots(ax, *pair(place[:2].T), "black", "s", ms=5, zorder=5)
     dots(ax, *pair(place[2:].T), RAY_COLOUR, "o", ms=4, zorder=6)
     left = min(float(flat[..., 0].min()), float(place[0, 0]) - 125.0) - 10.0
@@ -189,7 +189,7 @@ def _space(space: Space, sensor: Sensor, point: ArrayF) -> None:
         space.path(path_to(place, point, window), colour, lw=1.6, zorder=8, gid=words, label=words)
     space.device(laser, "laser")
     space.device(eye, "camera")
-    space.dots(point, "black", "x", ms=7, zorder=10, gid="point")
+    space.dots(point, "black", "x", ms=7, zorder=10)
     space.words(point, f"   ({point[0]:.1f}, {point[1]:.1f}, {point[2]:.1f}) mm", dy=-9.0)
     space.cross(np.array([low[0], high[1], 0.6 * point[2]]), 30.0)
     space.ax.legend(loc="lower left")
@@ -271,7 +271,7 @@ def _bent(space: Space, paths: ArrayF) -> None:
 def _line(ax: Axes, points_mm: ArrayF, letter: str) -> None:
     """The line on the plane: how far its points lie from a straight one."""
     along, off = along_and_off(points_mm[:, 0], points_mm[:, 1])
-    ax.axhline(0.0, color=BLUE, lw=0.9, ls="--", label="straight line", gid="straight")
+    ax.axhline(0.0, color=BLUE, lw=0.9, ls="--", label="straight line")
     ax.plot(along, off, color=VERMILION, lw=1.8, label="line on the plane", gid="line")
     bends = int(np.sum(np.diff(np.sign(_curvature(along, off))) != 0))
     shape = "bent to both sides" if bends else "bent to one side"
@@ -285,11 +285,6 @@ def _curvature(x: ArrayF, y: ArrayF) -> ArrayF:
     """Signed curvature times a positive factor along points of a curve, without its ends."""
     dx, dy = np.gradient(x), np.gradient(y)
     return np.asarray((dx * np.gradient(dy) - dy * np.gradient(dx))[3:-3])
-
-
-def draw_sheet_deformation() -> Figure:
-    """Picture of how refraction bends a light sheet."""
-    return sheet_deformation()
 
 
 # ---------------------------------------------------------------- measurement volume (P3 Fig. 5, P4 Fig. 11
@@ -338,15 +333,7 @@ def measurement_volume_view(
     for k, (ax, (words, label, values, colours)) in enumerate(zip(axes[0], maps, strict=True)):
         norm = Normalize(np.nanmin(values), np.nanmax(values))
         x, y = _edges(grid.x_px), _edges(grid.y_px)
-        ax.pcolormesh(
-            x,
-            y,
-            np.ma.masked_invalid(values),
-            cmap=colours,
-            norm=norm,
-            rasterized=True,
-            gid=f"map {'xyz'[k]}",
-        )
+        ax.pcolormesh(x, y, np.ma.masked_invalid(values), cmap=colours, norm=norm, rasterized=True)
         ax.set_xlim(x[0], x[-1])
         ax.set_ylim(y[-1], y[0])
         ax.set_aspect("equal")
@@ -359,12 +346,10 @@ def measurement_volume_view(
                 lw=1.4,
                 path_effects=HALO,
                 label=f"{line.depth_mm:g} mm deep",
-                gid=f"depth {line.depth_mm:g}",
             )
         ax.set(title=words, xlabel="column / px", ylabel="row / px" if k == 0 else "")
         ax.tick_params(labelleft=k == 0)
-        shades = ScalarMappable(norm, colours)
-        figure.colorbar(shades, ax=ax, label=label, location="bottom", pad=0.02, aspect=30)
+        colour_bar(ax, colours, norm, label, location="bottom", pad=0.02, aspect=30)
     _views(axes[1], volume.border_lcs_mm, lines, looks, sensor)
     # why a pixel has no point
     for status, share in volume.shares.items():
@@ -399,7 +384,7 @@ def _views(
     # a border that leaves the sheet is not one line
     ring[1:][np.linalg.norm(np.diff(ring, axis=0), axis=1) > 15.0] = np.nan
     for ax, (words, i, j) in zip(axes, views, strict=True):
-        ax.plot(ring[:, i], ring[:, j], color=GREY, lw=0.9, gid="border")
+        ax.plot(ring[:, i], ring[:, j], color=GREY, lw=0.9)
         for line in lines:
             colour, style, _ = looks[line.depth_mm]
             points = line.xyz_lcs_mm.copy()

@@ -1,6 +1,5 @@
 """The sensor under a boat: a strip of the bed, and a survey beside an echo sounder."""
 
-from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -10,10 +9,19 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
-from thalweg.core import ArrayF, read_table
-from thalweg.figures import HEIGHT_MAP, PURPLE, VERMILION, count, new_figure, plural, robust_limits, styled
+from thalweg.core import ArrayF
+from thalweg.figures import (
+    HEIGHT_MAP,
+    PURPLE,
+    VERMILION,
+    count,
+    new_figure,
+    plural,
+    robust_limits,
+    styled,
+    thinned,
+)
 from thalweg.lightsheet.figures.views import line_numbers, need, spots
-from thalweg.lightsheet.scanning import BED_POINTS
 
 POINTS: Final = ("file", "t_gps_s", "east_m", "north_m", "up_m", "cov_uu_m2", "sigma_line_m")
 TRUTH_LINES: Final = ("file", "n", "mean_m", "std_m")
@@ -31,7 +39,7 @@ def bed_strip(
     *,
     truth: pd.DataFrame | None = None,
     truth_lines: pd.DataFrame | None = None,
-    title: str = "Strip of the bed",
+    title: str,
 ) -> Figure:
     """Points from above, along their lines, and by line with their predicted sigma.
 
@@ -48,9 +56,9 @@ def bed_strip(
     need(points, POINTS, "points of the bed")
     sigma_up = float(np.sqrt(points["cov_uu_m2"].mean()))
     head = (
-        f"{title}: n = {count(len(points))} points of {plural(points['file'].nunique(), 'line')}, sigma of "
-        f"the height {_CM_PER_M * sigma_up:.1f} cm, within a line "
-        f"{1e3 * float(points['sigma_line_m'].median()):.2f} mm"
+        f"{title}, strip of the bed: n = {count(len(points))} points of "
+        f"{plural(points['file'].nunique(), 'line')}, sigma of the height "
+        f"{_CM_PER_M * sigma_up:.1f} cm, within a line {1e3 * float(points['sigma_line_m'].median()):.2f} mm"
     )
     if truth is not None and len(truth):
         row = truth.iloc[0]
@@ -68,12 +76,8 @@ def bed_strip(
     return figure
 
 
-def _some(points: pd.DataFrame) -> pd.DataFrame:
-    return points.iloc[:: max(1, -(-len(points) // _MOST_POINTS))]
-
-
 def _plan(figure: Figure, ax: Axes, points: pd.DataFrame) -> None:
-    shown = _some(points)
+    shown = thinned(points, _MOST_POINTS)
     middle = points[["east_m", "north_m"]].mean().to_numpy()
     east, north = (_CM_PER_M * (shown[["east_m", "north_m"]] - middle)).to_numpy().T
     norm = Normalize(*robust_limits(_CM_PER_M * points["up_m"], 0.5, 99.5))
@@ -97,9 +101,9 @@ def along_lines(points: pd.DataFrame) -> ArrayF:
 
 def _section(ax: Axes, points: pd.DataFrame) -> ScalarMappable:
     number, shades = line_numbers(points["file"])
-    shown = _some(points.assign(along=along_lines(points), number=number))
+    shown = thinned(points.assign(along=along_lines(points), number=number), _MOST_POINTS)
     colours = shades.to_rgba(shown["number"].to_numpy())
-    spots(ax, _CM_PER_M * shown["along"], _CM_PER_M * shown["up_m"], colours, s=0.8, gid="lines")
+    spots(ax, _CM_PER_M * shown["along"], _CM_PER_M * shown["up_m"], colours, s=0.8)
     ax.set(title="b: along the lines", xlabel="along the lines / cm", ylabel="height / cm")
     ax.grid()
     return shades
@@ -128,14 +132,7 @@ def _along_time(ax: Axes, points: pd.DataFrame, truth_lines: pd.DataFrame | None
     sigma = _CM_PER_M * table["sigma_up_m"]
     centre = mean if truth_lines is None else 0.0
     ax.fill_between(
-        table["t_s"],
-        centre - sigma,
-        centre + sigma,
-        color=PURPLE,
-        alpha=0.3,
-        lw=0,
-        gid="predicted",
-        label="predicted sigma",
+        table["t_s"], centre - sigma, centre + sigma, color=PURPLE, alpha=0.3, lw=0, label="predicted sigma"
     )
     ax.errorbar(
         table["t_s"],
@@ -147,21 +144,7 @@ def _along_time(ax: Axes, points: pd.DataFrame, truth_lines: pd.DataFrame | None
         ms=3,
         color=VERMILION,
         capsize=2,
-        gid="means",
     )
     ax.set_xlabel("time since the first line / s")
     ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.28))
     ax.grid()
-
-
-def draw_bed_strip(*, points: Path, truth: list[Path], truth_lines: list[Path], title: str) -> Figure:
-    """Points of the bed under the boat, for a twin with their errors -> figure."""
-    return bed_strip(
-        read_table(points, BED_POINTS)[0],
-        truth=pd.read_csv(truth[0]) if truth else None,
-        truth_lines=pd.read_csv(truth_lines[0]) if truth_lines else None,
-        title=f"{title}, strip of the bed",
-    )
-
-
-# ---------------------------------------------------------------- beside an echo sounder (T Fig. 3.5)

@@ -94,7 +94,6 @@ def show_green(ax: Axes, green: AnyArray, *, left: int = 0, top: int = 0) -> Non
         norm=PowerNorm(BRIGHTENING, 0.0, max(bright, 1.0)),
         extent=(left, left + w, top + h, top),
         aspect="equal",
-        gid="picture",
     )
     ax.set_xlim(left, left + w)
     ax.set_ylim(top + h, top)
