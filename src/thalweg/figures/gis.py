@@ -225,7 +225,9 @@ class _Project:
         self.bounds[:2] = np.minimum(self.bounds[:2], bounds[:2])
         self.bounds[2:] = np.maximum(self.bounds[2:], bounds[2:])
         self.extent.clear()
-        for name, value in zip(("xmin", "ymin", "xmax", "ymax"), self.bounds, strict=True):
+        margin_m = 0.05 * (self.bounds[2:] - self.bounds[:2])
+        view = np.concatenate([self.bounds[:2] - margin_m, self.bounds[2:] + margin_m])
+        for name, value in zip(("xmin", "ymin", "xmax", "ymax"), view, strict=True):
             _text(self.extent, name, f"{value:.3f}")
 
     def _relative(self, path: Path) -> str:

@@ -542,7 +542,7 @@ def agree_with_ins(
     known = known[(status & NAVIGATION_INITIALISED) == NAVIGATION_INITIALISED]
     t = positions["t_gps_s"].to_numpy()
     if len(known) < 2:
-        summary.notes.append("The INS states no position of its own: the positions could not be checked")
+        summary.notes.append("No INS with positions of its own: the positions could not be checked")
         return positions
     t_ins = known["t_gps_s"].to_numpy()
     coarse = frame.from_geodetic(known["lat_deg"], known["lon_deg"], known["h_ell_m"])
