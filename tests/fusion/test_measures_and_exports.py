@@ -251,6 +251,11 @@ def test_a_survey_is_one_file_for_a_gis(model, arc, banks, tmp_path):
     for corners, of in track.lines():
         assert cdist(corners, on_map).min(axis=1) == pytest.approx(0.0, abs=1e-6)
         assert of["from_utc"].startswith("2021-03-17T")
+    for line, of in read_vectors(f"{tmp_path}/a.gpkg?layer=banks").lines():
+        rows = banks[banks["side"] == of["side"]].sort_values("s_m")
+        assert line[:, :2] == pytest.approx(
+            FRAME.to_map(rows[["east_m", "north_m", "up_m"]], GRID)[:, :2], abs=1e-6
+        )
     for line, of in read_vectors(f"{tmp_path}/a.gpkg?layer=contours").lines():
         assert np.nanmedian(np.abs(model.at(line)[0] - of["height_m"])) < 0.02
     # alone, a trajectory is a map too

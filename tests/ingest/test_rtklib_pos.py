@@ -137,14 +137,14 @@ def test_covariance_of_earth_centred_coordinates_is_rotated(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("stamp", "gps_week_second"),
+    ("stamp", "second", "gps_week_second"),
     [
-        ("%  UTC", (1930, 17.4 + 0)),  # 2017-01-01T00:00:00 UTC is second 18 of the week
-        ("%  GPST", (1929, 604799.4)),
+        ("%  UTC", "60.400", (1930, 17.4 + 0)),  # 2017-01-01T00:00:00 UTC is second 18 of the week
+        ("%  GPST", "59.400", (1929, 604799.4)),
+        ("%  GPST", "60.000", (1930, 0.0)),  # rounded up: no leap second
     ],
 )
-def test_leap_second_stamp(tmp_path, stamp, gps_week_second):
-    second = "60.400" if "UTC" in stamp else "59.400"
+def test_leap_second_stamp(tmp_path, stamp, second, gps_week_second):
     text = HEAD.replace("%  GPST", stamp) + LINE.replace(
         "2017/05/12 18:45:13.400", f"2016/12/31 23:59:{second}"
     )
