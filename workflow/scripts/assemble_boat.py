@@ -28,7 +28,7 @@ def main(
         run=str(campaign["id"]),
         method=", ".join(methods),
         observations=int(found.facts["points"]),
-        sigma0=float(found.facts["sigmas"]["all"]),
+        sigma0=float(found.facts["sigma0"]),
         twin=twin,
     )
     write_calibration(

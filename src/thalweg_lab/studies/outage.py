@@ -32,6 +32,7 @@ from thalweg_lab.instruments import (
     attitude_errors_rad,
     boat_field_mg,
     inside,
+    multipath_errors_m,
     stated_sigmas_m,
     unstated_heading_errors_rad,
     velocity_errors_mps,
@@ -48,6 +49,8 @@ CAMERA: Final = Rigid.from_opk(np.deg2rad([90.0, 0.0, 0.0]), [-0.25, -0.10, -0.1
 
 LENGTHS_S: Final = (1.0, 2.0, 5.0, 10.0, 20.0, 40.0, 60.0)
 CHAINS: Final = ("ins_model", "ins_velocity", "camera", "fused")
+DIMMED: Final = 0.6
+"""Share of the satellites that leaves dim under trees, see `thalweg_lab.instruments.gnss`."""
 
 _LEAD_S: Final = 15.0
 """GNSS between two outages, seconds: longer than its errors are correlated."""
@@ -66,6 +69,7 @@ class VoyageSpec:
     image_time_s : correlation time of their errors.
     sigma_clock_s, jitter_s : common offset and scatter of the images' times.
     sigma_mount_m, sigma_mount_deg : of the camera's mount in each coordinate.
+    shade_s : begin after the start and length of the times under trees.
     student : degrees of freedom of Student's distribution that image poses and times are drawn from, with the
         same variance; 0: normal.
     """
@@ -80,6 +84,7 @@ class VoyageSpec:
     jitter_s: float = 0.016
     sigma_mount_m: float = 0.001
     sigma_mount_deg: float = 0.02
+    shade_s: tuple[tuple[float, float], ...] = ()
     student: float = 0.0
 
 
@@ -108,7 +113,7 @@ def make_survey(seed: int, spec: VoyageSpec | None = None) -> Recorded:
     images, T_ccs_ics, clock, true_mount = _images(seed, spec, motion)
     return Recorded(
         states=_states(config, seed, motion),
-        positions=_positions(config, seed, motion),
+        positions=_positions(config, seed, motion, spec.shade_s),
         images=images,
         T_ccs_ics=T_ccs_ics,
         motion=motion,
@@ -265,14 +270,17 @@ def _states(config: TwinConfig, seed: int, motion: Motion) -> pd.DataFrame:
     return pd.DataFrame(columns).assign(filter_status=np.uint16(0b1111))
 
 
-def _positions(config: TwinConfig, seed: int, motion: Motion) -> pd.DataFrame:
-    """The post-processed antenna track, without its outages."""
+def _positions(
+    config: TwinConfig, seed: int, motion: Motion, shade_s: tuple[tuple[float, float], ...]
+) -> pd.DataFrame:
+    """The post-processed antenna track, without its outages; under trees leaves disturb it."""
     t = epochs(config, config.gnss.rate_hz)
     since = t - motion.start_gps_s
     floats = inside(since, config.effects.gnss_floats)
     kinds = np.where(floats, int(Solution.FLOAT), int(Solution.FIXED))
     sigmas = stated_sigmas_m(config.gnss, kinds)
     place = motion.sensor_wcs_m(t, LEVER_ANTENNA_M) + antenna_errors_m(config, seed, "ppk", kinds, sigmas)
+    place += multipath_errors_m(config, seed, np.where(inside(since, shade_s), DIMMED, 0.0))
     lat, lon, height = FRAME.to_geodetic(place)
     columns = {"t_gps_s": t, "lat_deg": lat, "lon_deg": lon, "h_ell_m": height}
     columns |= {f"sigma_{name}_m": sigmas[:, i] for i, name in enumerate(("east", "north", "up"))}

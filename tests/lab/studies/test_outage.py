@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from tests.bands import band
 from thalweg_lab.studies import outage
 
 
@@ -35,3 +36,21 @@ def test_predicted_sigmas_follow_the_errors(table):
 def test_outages_leave_positions_on_both_sides_and_do_not_overlap():
     spans = outage.outages(np.arange(0.0, 100.0, 0.1), 20.0)
     assert spans == [(15.0, 35.0), (50.0, 70.0)]
+
+
+def test_under_trees_positions_are_disturbed_there_only():
+    effects = {"gnss_floats": ((2.0, 1.0),), "gnss_outages": ((5.0, 2.0),)}
+    gnss = {"multipath_m": 0.05, "multipath_time_s": 0.01, "rate_hz": 50.0}
+    spec = outage.VoyageSpec(duration_s=10.0, shade_s=((1.0, 3.0),), twin={"gnss": gnss, "effects": effects})
+    free = outage.VoyageSpec(duration_s=10.0, twin={"gnss": gnss})
+    shaded, free = outage.make_survey(1, spec), outage.make_survey(1, free)
+    table = shaded.positions.merge(free.positions, on="t_gps_s", suffixes=("", "_free"))
+    since = table["t_gps_s"].to_numpy() - free.motion.start_gps_s
+    assert len(free.positions) - len(table) == 100
+    assert not ((since > 5.0) & (since < 6.9)).any()
+    off = np.abs(table["h_ell_m"] - table["h_ell_m_free"]).to_numpy()
+    under, floats = (since >= 1.0) & (since < 4.0), (since >= 2.0) & (since < 3.0)
+    assert (table["fix"] == "float").to_numpy().tolist() == floats.tolist()
+    assert (off[~under] == 0).all()
+    low, high = band(np.sum(under & ~floats))
+    assert low < np.mean((off[under & ~floats] / (outage.DIMMED * 0.05)) ** 2) < high
