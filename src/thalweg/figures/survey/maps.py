@@ -156,7 +156,7 @@ def centre_in_words(trajectory: Trajectory) -> str:
     """Latitude and longitude of the middle of the track: ``51.0500° N, 13.2500° E``."""
     middle = trajectory.position_wcs_m[trajectory.valid].mean(axis=0)
     (lat,), (lon,), _ = trajectory.frame.to_geodetic(middle[None])
-    return f"{abs(lat):.4f}° {'N' if lat >= 0 else 'S'}, {abs(lon):.4f}° {'E' if lon >= 0 else 'W'}"
+    return f"{abs(lat):.4f}°\u00a0{'N' if lat >= 0 else 'S'}, {abs(lon):.4f}°\u00a0{'E' if lon >= 0 else 'W'}"
 
 
 def map_extent(track: ArrayF, cloud: ArrayF | None) -> tuple[ArrayF, ArrayF]:
