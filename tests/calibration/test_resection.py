@@ -195,6 +195,9 @@ def test_the_boats_camera_is_calibrated_on_the_field(camera, tmp_path):
         np.testing.assert_allclose(read[image].cov, found.poses[image].cov, rtol=1e-12)
     # few marks a picture: 20 to 40, with six unknowns
     assert table["sigma0"].between(0.3, 1.8).all()
+    part = found.residuals.query("image == @images[0] and used")
+    expected = np.sqrt((part["standardised"] ** 2).sum() / (2 * len(part) - 6))
+    assert table["sigma0"][0] == pytest.approx(expected, rel=1e-9)
 
 
 def test_too_few_pictures_of_the_boats_camera():

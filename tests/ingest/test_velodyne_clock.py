@@ -250,6 +250,7 @@ def test_locked_pps_without_a_usable_hour(times_of, sentence, why):
     assert np.isnan(gps).all()
     assert "unsynchronised: the PPS was locked, but no sentence named the hour" in scan.report.notes[0]
     assert why in scan.report.notes[0]
+    assert scan.report.counts.get("rmc_not_of_this_second", 0) == (4 if "disagree" in why else 0)
 
 
 def test_the_host_clock_plays_no_part(tmp_path):

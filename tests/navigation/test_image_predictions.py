@@ -17,15 +17,16 @@ FRAME = LocalFrame(lat_deg=51.0, lon_deg=13.0, h_ell_m=100.0)
 SPEED_MPS, TURN_RADPS = 2.0, 0.3
 
 
-def turning(n: int = 201) -> Trajectory:
-    """A boat that goes north-east at 2 m/s and turns at 0.3 rad/s for 20 s."""
+def turning(n: int = 201, heel_rad: float = 0.0) -> Trajectory:
+    """A boat that goes north-east at 2 m/s and turns at 0.3 rad/s about the vertical for 20 s."""
     t = 1000.0 + np.linspace(0.0, 20.0, n)
     along = SPEED_MPS * (t - t[0]) / np.sqrt(2)
+    turned = Rotation.from_rotvec(np.outer(TURN_RADPS * (t - t[0]), [0, 0, 1.0]))
     return Trajectory(
         frame=FRAME,
         t_gps_s=t,
         position_wcs_m=np.stack([along, along, np.zeros(n)], axis=1),
-        quaternion_wcs_ics=Rotation.from_rotvec(np.outer(TURN_RADPS * (t - t[0]), [0, 0, 1.0])).as_quat(),
+        quaternion_wcs_ics=(turned * Rotation.from_rotvec([heel_rad, 0.0, 0.0])).as_quat(),
         cov_pose_wcs=np.tile(np.diag([1e-4, 1e-4, 4e-4, 1e-6, 1e-6, 1e-6]), (n, 1, 1)),
         valid=np.ones(n, np.bool_),
     )
@@ -54,8 +55,9 @@ def test_pose_is_that_of_the_boat_at_the_corrected_time_times_the_mount():
 
 def test_an_uncertain_time_counts_with_the_speed_of_the_boat():
     still = Rigid(R=np.eye(3), shift_m=np.zeros(3))
-    sharp = predict_image_poses(stamps(1010.0), clock(0.0), turning(), still).cov_pose_wcs[0]
-    blurred = predict_image_poses(stamps(1010.0), clock(0.0, 0.1), turning(), still).cov_pose_wcs[0]
+    heeled = turning(heel_rad=0.3)  # rates are of the world, whatever the axes of the boat
+    sharp = predict_image_poses(stamps(1010.0), clock(0.0), heeled, still).cov_pose_wcs[0]
+    blurred = predict_image_poses(stamps(1010.0), clock(0.0, 0.1), heeled, still).cov_pose_wcs[0]
     rate = np.array([SPEED_MPS / np.sqrt(2), SPEED_MPS / np.sqrt(2), 0, 0, 0, TURN_RADPS])
     # rates are chords of 0.4 s about the time, exact for even motion
     np.testing.assert_allclose(blurred - sharp, 0.01 * np.outer(rate, rate), atol=1e-12)
