@@ -62,6 +62,8 @@ _ANGLE_OFF_RAD: Final = float(np.deg2rad(3.0))
 _CLEAR_SHARE: Final = 0.75
 """Share of points on a cone of a held half angle, below which a free one is tried."""
 _ANGLE_NOTED_RAD: Final = float(np.deg2rad(0.2))
+_ANGLE_POINTS: Final = 10
+"""Points that tell a half angle: seven lie on some cone whatever they are."""
 _CHECK_CONE: Final = (
     "Check half_angle_deg of the cone (between axis and surface) and its marker numbers in the description"
 )
@@ -450,7 +452,9 @@ def fit_reference(
     opened, limit = cone, _ANGLE_OFF_RAD
     if not free_half_angle and used.mean() < _CLEAR_SHARE:  # a wrong angle that is kept puts points out
         opened, limit = refine(cone, reference.points_m, sigma, free_half_angle=True), _ANGLE_NOTED_RAD
-    if abs(opened.half_angle_rad - reference.half_angle_rad) > limit:
+    on = np.abs(opened.see(reference.points_m).distance_m) <= reject_sigmas * sigma
+    told = on.sum() >= max(_ANGLE_POINTS, n // 2)
+    if told and abs(opened.half_angle_rad - reference.half_angle_rad) > limit:
         measured, stated = np.rad2deg([opened.half_angle_rad, reference.half_angle_rad])
         raise GeometryError(
             f"the opening angle does not fit: stated is a half angle of {stated:.2f} deg, but the reference "
