@@ -136,6 +136,20 @@ def test_a_stated_opening_angle_that_does_not_fit(rng, times, free):
     assert "Check half_angle_deg of the cone" in caught.value.cure
 
 
+def test_few_marks_tell_no_half_angle():
+    """Seven lie on some cone whatever they are: on a part of it the angle is free, and no mistake."""
+    off = []
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        few = marks(cone_of(rng), rng, n=7, around=1.2)
+        try:
+            off.append(np.rad2deg(fit_reference(reference(few)).cone.half_angle_rad - HALF))
+        except GeometryError as error:  # the start missed it
+            assert "opening angle" not in str(error)
+    assert len(off) >= 10
+    assert np.max(np.abs(off)) > 3.0
+
+
 def test_a_fixed_angle_may_not_put_half_of_the_points_out(rng):
     points = marks(cone_of(rng), rng, n=60)
     with pytest.raises(GeometryError, match="the opening angle does not fit"):
