@@ -138,15 +138,16 @@ def test_a_stated_opening_angle_that_does_not_fit(rng, times, free):
 
 def test_few_marks_tell_no_half_angle():
     """Seven lie on some cone whatever they are: on a part of it the angle is free, and no mistake."""
-    off = []
+    off, missed = [], []
     for seed in range(20):
         rng = np.random.default_rng(seed)
         few = marks(cone_of(rng), rng, n=7, around=1.2)
         try:
             off.append(np.rad2deg(fit_reference(reference(few)).cone.half_angle_rad - HALF))
-        except GeometryError as error:  # the start missed it
-            assert "opening angle" not in str(error)
+        except GeometryError as error:  # the start was too far off
+            missed.append(str(error))
     assert len(off) >= 10
+    assert not any("opening angle" in each for each in missed)
     assert np.max(np.abs(off)) > 3.0
 
 
