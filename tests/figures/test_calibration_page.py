@@ -48,13 +48,14 @@ def test_the_head_has_the_sigmas_and_what_residuals_say_of_them(boat, sigma0, ve
     told = replace(boat, source=replace(boat.source, sigma0=sigma0))
     sentence, findings = head([told, boat] if sigma0 == 1.4 else [told])
     assert sentence == f"Predicted standard deviations: {words}."
+    told = f"; {verdict}" if verdict else ""
     assert findings == [
         Finding(
-            "camera lidar",
-            "lever arm 16.0 cm; sigma about and along x, y, z: 0.067, 0.035, 0.015°, 1, 0.4, 0.2 mm",
-            verdict,
+            "camera to lidar, length of the lever arm",
+            "16.0 cm",
+            f"σ in x, y, z: 1, 0.4, 0.2 mm, about them: 0.067, 0.035, 0.015°{told}",
         ),
-        Finding("camera clock", "offset +2.3471 s, sigma 3.1 ms", verdict),
+        Finding("camera clock, offset", "+2.3471 s", f"σ 3.1 ms{told}"),
     ]
     bare = Calibration(
         title="x", blocks=(lever_block("antenna", [0, 0, 0]),), cov=np.eye(3), source=boat.source
@@ -161,7 +162,7 @@ def plain_text(page):
 
 def test_the_page_says_how_the_clock_runs(boat):
     words = plain_text(calibration_page([boat], facts={"camera_clock": CLOCK}))
-    assert "clock of the camera offset −2.3480 s, sigma 2.0 ms consistent" in words
+    assert "clock of the camera, offset −2.3480 s σ 2.0 ms; consistent" in words
     assert "off by 22.9 ms (standard deviation, sigma 1.4 ms)" in words
     assert "148 images and on positions and attitude" in words
     # the drift of the published variant is held: no numbers

@@ -427,7 +427,6 @@ def test_two_volumes_that_contradict_each_other_are_a_warning(facts, by_heights,
     assert bool(told) == bool(words)
     assert words in told
     assert told in head([other])[0]
-    assert told in verdict(other)
 
 
 def test_without_a_sigma_and_drawn_ground_there_is_no_verdict(bank, facts):

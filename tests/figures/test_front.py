@@ -233,7 +233,7 @@ def test_each_kind_shows_the_numbers_of_its_page(tmp_path):
     assert "Open in three dimensions: point cloud" in text
     assert text.count("Difference of heights TIF, EPSG:25833") == 2
     page = (tmp_path / "results/change/index.html").read_text()
-    assert '<a href="deformation/index.html">−12.6 ± 0.6 m³</a>' in page
+    assert '<a href="deformation/index.html">−12.6 ± 0.6\N{NO-BREAK SPACE}m³</a>' in page
     assert "sigma0 1.02 consistent" in words(front(tmp_path, "photographs"))
     text = words(front(tmp_path, "calibration", crs="local"))
     assert "lidar lever arm of 44.2 cm, rotation consistent" in text

@@ -137,9 +137,8 @@ def test_cards_link_their_evidence_and_carry_the_tone_of_their_verdict():
     found = [Finding("RMSE", "4.0 cm", "consistent", "accuracy/index.html"), Finding("n", "7")]
     html = Page("x", "", found).html()
     check(html)
-    assert (
-        '<tr class="good"><td>RMSE</td><td><a href="accuracy/index.html">4.0 cm</a></td><td>consist' in html
-    )
+    link = '<a href="accuracy/index.html">4.0\N{NO-BREAK SPACE}cm</a>'
+    assert f'<tr class="good"><td>RMSE</td><td>{link}</td><td>consistent</td>' in html
     assert '<tr class=""><td>n</td><td>7</td><td></td></tr>' in html
 
 

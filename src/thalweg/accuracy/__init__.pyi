@@ -62,8 +62,4 @@ from .statistics import (
     verdict_of as verdict_of,
     verdict_of_ratio as verdict_of_ratio,
 )
-from .summary import (
-    number_text as number_text,
-    summary_lines as summary_lines,
-    summary_table as summary_table,
-)
+from .summary import summary_lines as summary_lines, summary_table as summary_table

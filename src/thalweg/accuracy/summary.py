@@ -187,13 +187,13 @@ def summary_lines(table: pd.DataFrame) -> list[str]:
     """The table as aligned text lines for a terminal."""
     lines = []
     for row in table.to_dict("records"):
-        value = number_text(float(row["value"]))
+        value = _number_text(float(row["value"]))
         unit = "" if row["unit"] == "1" else row["unit"]
         lines.append(f"  {row['quantity']:52s} {value:>16s} {unit}".rstrip())
     return lines
 
 
-def number_text(number: float) -> str:
+def _number_text(number: float) -> str:
     """A figure of the summary as people read it."""
     if pd.isna(number):
         return "-"

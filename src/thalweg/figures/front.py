@@ -6,19 +6,19 @@ from dataclasses import replace
 from html import unescape
 from os.path import relpath
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 from urllib.parse import quote
 
 import numpy as np
 import pandas as pd
 from pyproj import CRS
 
-from thalweg.accuracy import AS_MEASURED, WITHOUT_OUTLIERS, number_text, verdict_of, verdict_of_ratio
+from thalweg.accuracy import AS_MEASURED, WITHOUT_OUTLIERS, verdict_of, verdict_of_ratio
 from thalweg.core import InputError, Trajectory, final_path, read_json, utc_text_from_gps
 from thalweg.figures.accuracy import centimetres
 from thalweg.figures.page import Finding, Page, escape, findings_html, findings_of, small_picture
 from thalweg.figures.products import MAP_FILES, OWN_FILES, Product, products_of
-from thalweg.figures.style import count, note_of, plural
+from thalweg.figures.style import count, note_of, number, plural
 from thalweg.figures.survey import centre_in_words, track_gaps, track_length_m
 from thalweg.ingest import IntegrityReport
 
@@ -108,7 +108,8 @@ def write_front_page(
     chain = next((name for name in CHAINS if f"orientation/{name}.parquet" in files), "")
     track = Trajectory.read(files[f"orientation/{chain}.parquet"]) if chain else None
     mark = ["Digital twin: simulated instruments wrote these logs"] if twin else []
-    front = Page(title, " · ".join([*mark, *_facts(track, crs)]), folded=False)
+    epochs = [read_json(path) for path in results if path.name == "errors.json"]
+    front = Page(title, " · ".join([*mark, *_facts(track, epochs, crs)]), folded=False)
     for address, (name, _, _) in heads.items():
         front.entry(address, name)
     found = [] if track is None else list(_of_survey(files, track, chain))
@@ -164,13 +165,16 @@ def _head(path: Path, title: str) -> tuple[str, str, list[Finding]]:
     return unescape(found[1]).removesuffix(f": {title}"), sentence[0] if sentence else lead, findings_of(text)
 
 
-def _facts(track: Trajectory | None, crs: str) -> Iterator[str]:
-    """When and where a boat surveyed, and the map."""
+def _facts(track: Trajectory | None, epochs: Sequence[Mapping[str, Any]], crs: str) -> Iterator[str]:
+    """When and where a boat surveyed, the days of the epochs of a change, and the map."""
     if track is not None:
         first, last = (utc_text_from_gps(t, 0) for t in track.span())
         yield f"{first[:10]}, {first[11:19]} to {last[11:19]} UTC"
         yield f"track of {count(track_length_m(track))} m"
         yield centre_in_words(track)
+    if epochs:
+        days = sorted(utc_text_from_gps(each["start_gps_s"], 0)[:10] for each in epochs)
+        yield f"{len(days)} epochs, {days[0]} to {days[-1]}"
     if crs != "local":
         system = CRS.from_user_input(crs)
         heights = f"heights {system.sub_crs_list[1].name}" if system.is_compound else "ellipsoidal heights"
@@ -260,4 +264,5 @@ def _numbers(summary: Path | None) -> pd.DataFrame:
     if summary is None:
         return pd.DataFrame()
     table = pd.read_csv(summary)[["quantity", "value", "unit"]]
-    return table.assign(value=table["value"].map(number_text), unit=table["unit"].replace("1", ""))
+    values = [count(v) if float(v).is_integer() else number(v) for v in table["value"]]
+    return table.assign(value=values, unit=table["unit"].replace("1", ""))

@@ -335,15 +335,19 @@ def findings_html(findings: Sequence[Finding]) -> str:
     """The few numbers at the head of a page as cards, each with its verdict."""
     rows = ""
     for f in findings:
-        value = f'<a href="{quote(f.href, safe="/#")}">{escape(f.value)}</a>' if f.href else escape(f.value)
+        texts = (f.quantity, f.value, f.verdict)
+        quantity, value, verdict = (_BEFORE_UNIT.sub("\N{NO-BREAK SPACE}", escape(each)) for each in texts)
+        value = f'<a href="{quote(f.href, safe="/#")}">{value}</a>' if f.href else value
         looks = [tone for words, tone in TONES.items() if f.verdict.endswith(words)]
         looks += ["long"] * (len(f.value) > _LONG_VALUE)
-        cells = "".join(f"<td>{each}</td>" for each in (escape(f.quantity), value, escape(f.verdict)))
+        cells = "".join(f"<td>{each}</td>" for each in (quantity, value, verdict))
         rows += f'<tr class="{" ".join(looks)}">{cells}</tr>\n'
     head = "<tr><th>quantity</th><th>value</th><th>verdict</th></tr>"
     return f'<table class="findings">{head}\n{rows}</table>\n' if rows else ""
 
 
+_BEFORE_UNIT: Final = re.compile(r"(?<=\d) (?=(?:%|°|[cm]?m[²³]?|m?s)(?![\w]))")
+"""A space that is no end of a line."""
 _FINDING: Final = re.compile(r"<tr[^>]*>" + "<td>(?:<a[^>]*>)?(.*?)(?:</a>)?</td>" * 3 + "</tr>")
 
 

@@ -1408,6 +1408,7 @@ class CampaignFiles:
         reports += self._where(beside, "ingest/rig.integrity.json")
         fused = self.of_compared_chains("statistics.csv")[2:3] if self.has_time_lapse() else []
         facts = [*self.counts_of_points(), *self.sounding_facts()] if self._is_survey() else []
+        facts += self.all_epochs("errors.json") if self.campaign.is_change else []
         others = [path for path in self.final_outputs() if path != self._result("index.html")]
         return list(dict.fromkeys([*others, *reports, *fused, *facts]))
 

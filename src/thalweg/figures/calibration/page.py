@@ -308,52 +308,58 @@ def head(
 ) -> tuple[str, list[Finding]]:
     """The first sentence, and each block once: its sigmas, and what its residuals say of them."""
     findings: dict[str, Finding] = {}
+    judged: dict[str, str] = {}
     for calibration in calibrations:
         source = calibration.source
         told = ""
         if np.isfinite(source.sigma0) and source.observations:
             told = verdict_of(source.sigma0**2, source.observations)
         for block in calibration.blocks:
-            words = _block_in_words(calibration, block)
-            name = block.name.replace("_", " ")
-            if words and (name not in findings or (told and not findings[name].verdict)):
-                findings[name] = Finding(name, words, told)
+            found = _finding(calibration, block, told)
+            if found and (found.quantity not in findings or (told and not judged[found.quantity])):
+                findings[found.quantity], judged[found.quantity] = found, told
     clock = (facts or {}).get("camera_clock")
     if clock:
         low, high = clock["sigma0_squared_band"]
-        findings["clock of the camera"] = Finding(
-            "clock of the camera",
-            f"offset {clock['offset_s']:+.4f} s, sigma {1e3 * clock['sigma_offset_s']:.1f} ms",
-            verdict_of_ratio(*(value**-0.5 for value in (clock["sigma0_squared"], high, low))),
+        told = verdict_of_ratio(*(value**-0.5 for value in (clock["sigma0_squared"], high, low)))
+        found = Finding(
+            "clock of the camera, offset",
+            f"{clock['offset_s']:+.4f} s",
+            f"σ {1e3 * clock['sigma_offset_s']:.1f} ms; {told}",
         )
+        findings[found.quantity], judged[found.quantity] = found, told
     if not findings:
         return "No block has sigmas of its own.", []
-    judged = [f.verdict for f in findings.values() if f.verdict]
     sigmas = {
         "consistent": "agree with the residuals",
         "too optimistic": "are too small",
         "too pessimistic": "are too large",
         "too few data": "rest on too few data to judge",
     }
+    verdicts = [told for told in judged.values() if told]
     counts = ", ".join(
-        f"{judged.count(word)} of {len(findings)} {sigmas[word]}" for word in dict.fromkeys(judged)
+        f"{verdicts.count(word)} of {len(findings)} {sigmas[word]}" for word in dict.fromkeys(verdicts)
     )
     sentence = f"Predicted standard deviations: {counts or 'too few data to judge'}."
     return sentence, list(findings.values())
 
 
-def _block_in_words(calibration: Calibration, block: Block) -> str:
+def _finding(calibration: Calibration, block: Block, told: str) -> Finding | None:
+    """Lever arm or offset of a block, with its sigmas about and along the axes; None if it has none."""
     values, cov = calibration.block(block.name)
     sigma = np.sqrt(np.diag(cov))
+    name = block.name.replace("camera_lidar", "camera to lidar").replace("_", " ")
+    verdict = f"; {told}" if told else ""
     if block.is_pose and sigma.any():
-        turn = ", ".join(f"{s:.3g}" for s in sigma[:3])
+        turn = ", ".join(f"{s:.2g}" for s in sigma[:3])
         lever = ", ".join(f"{1e3 * s:.2g}" for s in sigma[3:])
         length = 100 * float(np.linalg.norm(values[3:]))
-        return f"lever arm {length:.1f} cm; sigma about and along x, y, z: {turn}°, {lever} mm"
+        words = f"σ in x, y, z: {lever} mm, about them: {turn}°{verdict}"
+        return Finding(f"{name}, length of the lever arm", f"{length:.1f} cm", words)
     if "offset_s" in block.quantities:
         k = block.quantities.index("offset_s")
-        return f"offset {values[k]:+.4f} s, sigma {1e3 * sigma[k]:.2g} ms"
-    return ""
+        return Finding(f"{name}, offset", f"{values[k]:+.4f} s", f"σ {1e3 * sigma[k]:.2g} ms{verdict}")
+    return None
 
 
 def _result(page: Page, calibration: Calibration, shown: dict[str, tuple[str, AnyArray]]) -> None:

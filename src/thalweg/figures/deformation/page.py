@@ -318,8 +318,6 @@ def verdict(pair: PairFacts) -> str:
         f"{cubic_metres(deposition)} by deposition on {deposition['area_m2']:.1f} m² of bare ground that "
         f"{'changed significantly' if pair.sigma_known else 'exceeds the roughness'}; net, with "
         f"insignificant changes, {cubic_metres(net)}, {zero}",
-        both_volumes(pair),
-        contradiction(pair),
         f"The median level of detection (95 %) of the {count(n)} measured core points is "
         f"{centimetres(median)}.",
         largest_patches(pair.patches),
@@ -479,7 +477,8 @@ def change_page(
         )
     page.section("Interpretation")
     for pair in pairs:
-        page.text(verdict(pair))
+        in_head = pair is pairs[-1]
+        page.text(verdict(pair) if in_head else f"{verdict(pair)} {both_volumes(pair)}")
     _volumes(page, pairs)
     _states(page, pairs)
     page.pictures(pictures, captions, "significance_map")

@@ -22,7 +22,7 @@ from PIL import Image
 from pyproj import CRS
 
 from thalweg import __version__
-from thalweg.accuracy import number_text, verdict_of, verdict_of_ratio
+from thalweg.accuracy import verdict_of, verdict_of_ratio
 from thalweg.bathymetry import REASONS, S44
 from thalweg.core import Trajectory, final_path, optional, read_json, unix_from_gps, utc_text_from_gps
 from thalweg.figures import TWIN_MARK, count, note_of, number, plural
@@ -522,7 +522,7 @@ def _uncertainty(page: _Report, path: Trajectory) -> None:
         )
         page.figures("distance_map")
     truth = page.records("accuracy/truth_riverbed.csv")[:_OF_TRUTH]
-    rows = [(r["measure"], number_text(r["value"]), count(r["n"])) for r in truth]
+    rows = [(r["measure"], number(r["value"]), count(r["n"])) for r in truth]
     page.table(("measure", "value", "n"), rows, "Digital twin: errors against the true bed.")
 
 
