@@ -61,8 +61,8 @@ def a_log(path: Path, x: float) -> None:
 
 
 KINDS = {
-    "table.parquet": (a_table, "column x[0]: "),
-    "points.laz": (a_cloud, "dimension sigma_m[0]: "),
+    "table.parquet": (a_table, "x[0]: "),
+    "points.laz": (a_cloud, "sigma_m[0]: "),
     "facts.json": (a_json, ".values[0].x"),
     "index.html": (a_page, "line 2: "),
     "bed.tif": (a_raster, "band[0, 0, 0]: "),

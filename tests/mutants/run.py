@@ -17,6 +17,10 @@ exchanged: there the child has no module of Thalweg yet and imports the changed 
 test fails, raises, runs out of CPU time or crashes, and passes on the right code. No file of the source tree
 is touched.
 
+Tests that run whole campaigns take minutes. Instead of them, each job of these campaigns that executes the
+statement of a survivor is run again with the mistake (`campaigns`). It is found if a number moves that
+`tests/golden/kept_numbers.py` keeps, as the test of the campaign would find it.
+
 Own code, because the two known tools do not reach compiled functions: mutmut 3 puts all mistakes into one
 file behind a switch and skips every decorated function, so each numba kernel; cosmic-ray writes each mistake
 to disk and starts a new interpreter for it, where imports alone take longer than most of these tests, and a
@@ -64,6 +68,7 @@ import yaml
 
 HERE: Final = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE))
+import campaigns  # noqa: E402
 import mutations  # noqa: E402
 
 REPOSITORY: Final = HERE.parents[1]
@@ -281,13 +286,22 @@ class Stop:
             os._exit(1)
 
 
+def import_changed(run: Run) -> None:
+    """From now on an import of the module gives the changed one; its compiled functions are compiled anew."""
+    loader = importlib.machinery.SourceFileLoader
+    right, changed = loader.get_code, run.code(changed=True)
+    loader.get_code = lambda self, name: changed if name == run.target.name else right(self, name)  # type: ignore[method-assign]
+    if run.target.compiled:
+        import numba
+
+        numba.config.CACHE_DIR = tempfile.mkdtemp()
+
+
 def import_child(run: Run) -> int:
     """Import the changed module and run its tests: for what runs when a module is imported."""
     import pytest
 
-    loader = importlib.machinery.SourceFileLoader
-    right, changed = loader.get_code, run.code(changed=True)
-    loader.get_code = lambda self, name: changed if name == run.target.name else right(self, name)  # type: ignore[method-assign]
+    import_changed(run)
     return pytest.main(
         [*options_of_pytest(run.target.compiled), *(f"tests/{name}" for name in run.target.tests)],
         plugins=[Stop()],
@@ -596,6 +610,54 @@ def judge(runs: Sequence[Run], workers: int, minutes: float) -> set[str]:
     return bad | judged(rest, import_child, workers, began + 60 * minutes)
 
 
+def judge_by_campaigns(runs: Sequence[Run], workers: int, minutes: float) -> None:
+    """Run survivors in the jobs of small campaigns that execute them: ``moved`` where a number moves."""
+    house = campaigns.prepared(KEPT, workers)
+    jobs = {job.script.stem: job for job in campaigns.jobs_of(house)}
+
+    def table(name: str) -> Path:
+        return house / "lines" / f"{name}.pickle"
+
+    def traced(run: Run) -> int:
+        tracers, began_s = Tracers(), time.process_time()
+        sys.path.insert(0, str(SOURCE))
+        tracers.noted(begin=True)
+        campaigns.repeat(jobs[run.target.tests[0]], house, compare=False)
+        lines = tracers.noted(begin=False)
+        table(run.target.tests[0]).write_bytes(pickle.dumps((time.process_time() - began_s, lines)))
+        return 0
+
+    def child(run: Run) -> int:
+        sys.path.insert(0, str(SOURCE))
+        import_changed(run)
+        for name in run.tests:
+            if found := campaigns.repeat(jobs[name], house, compare=True):
+                print(*found, f"FAILED tests/{name}", sep="\n", flush=True)
+                return 1
+        return 0
+
+    (house / "lines").mkdir(exist_ok=True)
+    missing = [
+        Run(Target("", (name,)), None, table(name).with_suffix(".txt"), limit_s=MAP_LIMIT_S)
+        for name in jobs
+        if not table(name).exists()
+    ]
+    run_all(missing, traced, workers)
+    seen = {name: pickle.loads(table(name).read_bytes()) for name in jobs if table(name).exists()}
+    for run in runs:
+        path, lines = str(run.target.path), {*run.lines}
+        hits = [name for name, (_, found) in seen.items() if found.get(path, set()) & lines]
+        if not hits and (run.functions is None or run.target.compiled):  # its lines are not noted one by one
+            hits = [name for name, (_, found) in seen.items() if path in found]
+        run.tests = sorted(hits, key=lambda name: seen[name][0])
+        run.limit_s = 60 + 5 * sum(seen[name][0] for name in hits)
+        run.log = run.log.with_suffix(".campaigns.txt")
+    asked = [run for run in runs if run.tests]
+    run_all(asked, child, workers, time.monotonic() + 60 * minutes)
+    for run in asked:
+        run.verdict = run.verdict if run.verdict in ("", "survived") else "moved"
+
+
 def report(runs: Sequence[Run], seed: int, cpu_s: float, wall_s: float, left: int) -> str:
     """The page of the documentation: score by module, and survivors.
 
@@ -615,8 +677,10 @@ def report(runs: Sequence[Run], seed: int, cpu_s: float, wall_s: float, left: in
         "",
         "Written by `make mutants` (`tests/mutants/run.py` says how it works). Each run draws other",
         "mistakes, and none is taken out by hand: those that change nothing observable and that no rule of",
-        "`tests/mutants/mutations.py` tells count as survivors. Studies, whole campaigns and real recordings",
-        "(tests marked slow, workflow, real) are not run.",
+        "`tests/mutants/mutations.py` tells count as survivors. Studies and real recordings (tests",
+        "marked slow, real) are not run. Instead of tests of campaigns (workflow), jobs of "
+        f"{', '.join(campaigns.CAMPAIGNS)}",
+        "meet what survives all other tests, and their numbers are compared with those that are kept.",
         "",
         f"- seed {seed} (`make mutants SEED={seed}` repeats it), commit {commit or 'unknown'}, "
         f"{datetime.datetime.now(datetime.UTC).date()}",
@@ -625,6 +689,8 @@ def report(runs: Sequence[Run], seed: int, cpu_s: float, wall_s: float, left: in
         f"- **{len(runs) - len(lost)} of {len(runs)} mistakes found, {len(lost)} survive "
         f"({100 * len(lost) / len(runs):.1f} %)**, of all mistakes {100 * low:.0f} to {100 * high:.0f} % "
         f"(95 %); at most {100 * MOST_SURVIVORS:.0f} % may",
+        f"- {sum(run.verdict == 'moved' for run in runs)} of these move a number of a campaign and fail no"
+        " other test",
         "",
         "| module | test files | mistakes | found | survive |",
         "| --- | --- | --- | --- | --- |",
@@ -648,6 +714,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=None, help="repeat the draw of this number")
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--minutes", type=float, default=120.0, help="begin no mistake after that")
+    parser.add_argument("--no-campaigns", action="store_true", help="survivors meet no jobs of campaigns")
     parser.add_argument("--only", default="", help="of these mistakes those whose module:function holds this")
     parser.add_argument("--out", type=Path, default=REPORT, help="page to write; its folder is made")
     parser.add_argument("--logs", type=Path, default=None, help="keep what the tests print in this folder")
@@ -677,6 +744,9 @@ def main() -> int:
         ]
         random.Random(seed).shuffle(runs)  # those that time leaves out are anywhere
         bad = judge(runs, options.workers, options.minutes)
+        survivors = [run for run in runs if run.verdict == "survived"]
+        if not options.no_campaigns:
+            judge_by_campaigns(survivors, options.workers, options.minutes)
         left = sum(not run.verdict for run in runs)
         runs = sorted((run for run in runs if run.verdict not in ("", "unclear")), key=lambda run: run.number)
     if bad:

@@ -9,6 +9,7 @@ import rasterio
 import yaml
 
 from tests.bands import band
+from tests.golden.kept_numbers import require_kept
 from thalweg.cli import main
 
 pytestmark = pytest.mark.workflow
@@ -48,6 +49,10 @@ def write_files(folder) -> None:
         "deformation": {"core_spacing_m": 1.0, "cylinder_radius_m": 0.8, "registration": "none"},
     }
     (folder / "files.yaml").write_text(yaml.safe_dump(campaign))
+
+
+def test_no_number_has_moved_unseen(changed):
+    require_kept(changed.parent)
 
 
 def test_sigmas_agree_with_the_truth(changed):

@@ -9,6 +9,7 @@ import pytest
 import yaml
 from PIL import Image
 
+from tests.golden.kept_numbers import require_kept
 from thalweg.core.calibration import read_calibration
 
 pytestmark = pytest.mark.workflow
@@ -61,6 +62,10 @@ def test_errors_against_the_truth_are_what_the_sigmas_say(yard):
     assert single["normalised"].abs().max() < 4.0, single
     lever = table[(table["block"] == "camera_lidar") & table["quantity"].isin(["x_m", "y_m", "z_m"])]
     assert lever["sigma"].max() < 0.001  # P2: below a millimetre
+
+
+def test_no_number_has_moved_unseen(yard):
+    require_kept(yard.root / "results/field_tiny")
 
 
 def test_the_page_shows_every_picture(yard):

@@ -20,6 +20,7 @@ from pyproj import CRS
 from scipy.stats import chi2
 
 from tests.bands import band
+from tests.golden.kept_numbers import require_kept
 from tests.workflow.conftest import House, rule_names
 from thalweg.cli import main
 from thalweg.core import LocalFrame, Rigid, Trajectory, iter_laz, laz_header, read_table
@@ -128,6 +129,10 @@ def test_everything_promised_is_there(tiny_house):
         assert (base / f"{name}.meta.json").is_file(), name
     for picture in ("survey_map", "streams_in_time", "cloud_overview", "cloud_detail", "distance_histogram"):
         assert (base / f"figures/{picture}.png").stat().st_size > 20_000, picture
+
+
+def test_no_number_has_moved_unseen(tiny_house):
+    require_kept(tiny_house.root / "results/tiny")
 
 
 def test_the_cloud_is_what_the_conventions_say(tiny_house):

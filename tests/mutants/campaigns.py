@@ -1,0 +1,90 @@
+"""Jobs of small campaigns that are run again with a mistake: which of the numbers that are kept move."""
+
+import hashlib
+import json
+import os
+import runpy
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+REPOSITORY: Final = Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(REPOSITORY))
+from tests.golden.kept_numbers import CAMPAIGNS, moved, numbers_of, read_kept  # noqa: E402
+
+COPIED: Final = ("Snakefile", "config", "envs", "profiles", "resources", "src", "workflow")
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """A job that a campaign ran: its script, and those of its results whose numbers are kept."""
+
+    script: Path
+    campaign: str
+    results: tuple[str, ...]
+
+
+def prepared(kept: Path, workers: int) -> Path:
+    """Folder in which the campaigns ran with the right code, made where it is not there; may take minutes."""
+    digest = hashlib.sha256()
+    for name in COPIED:
+        path = REPOSITORY / name
+        for file in sorted(path.rglob("*")) if path.is_dir() else [path]:
+            if file.is_file() and file.suffix != ".pyc":
+                digest.update(file.read_bytes())
+    house = kept / f"campaigns_{digest.hexdigest()[:16]}"
+    if (house / "complete").exists():
+        return house
+    for old in kept.glob("campaigns_*"):
+        shutil.rmtree(old)
+    house.mkdir(parents=True)
+    for name in COPIED:
+        if (REPOSITORY / name).is_dir():
+            shutil.copytree(REPOSITORY / name, house / name)
+        else:
+            shutil.copy(REPOSITORY / name, house / name)
+    (house / "jobs").mkdir()
+    environment = {**os.environ, "PYTHONPATH": str(house / "src")}
+    for campaign, results in CAMPAIGNS.items():
+        record = [sys.executable, Path(__file__).with_name("record.py"), house / "jobs"]
+        asked = ["--cores", str(workers), "--quiet", "all", "--notemp", "--config", f"campaign={campaign}"]
+        targets = [f"results/{campaign}/{name}" for name in results]
+        subprocess.run([*record, *asked, "--", *targets], cwd=house, env=environment, check=True)
+    (house / "complete").touch()
+    return house
+
+
+def jobs_of(house: Path) -> Iterator[Job]:
+    """The jobs that give numbers which are kept."""
+    for campaign in CAMPAIGNS:
+        base = Path("results", campaign)
+        kept = {*read_kept(campaign).index.get_level_values("file")}
+        for script in sorted((house / "jobs").glob("*.py")):
+            made = [Path(each) for each in json.loads(script.with_suffix(".json").read_text())]
+            within = [each.relative_to(base).as_posix() for each in made if each.is_relative_to(base)]
+            files = tuple(
+                name for name in sorted(kept) if any(f"{name}/".startswith(f"{m}/") for m in within)
+            )
+            if files:
+                yield Job(script, campaign, files)
+
+
+def repeat(job: Job, house: Path, *, compare: bool) -> list[str]:
+    """Run a job again, beside the results that are there: which of its numbers are not as kept."""
+    with tempfile.TemporaryDirectory() as folder:
+        for each in house.iterdir():
+            if each.name != "results":
+                Path(folder, each.name).symlink_to(each)
+        shutil.copytree(house / "results", Path(folder, "results"), copy_function=os.link)
+        os.chdir(folder)
+        runpy.run_path(str(job.script), run_name="__main__")
+        if not compare:
+            return []
+        kept = read_kept(job.campaign)
+        kept = kept[kept.index.get_level_values("file").isin(job.results)]
+        return [*moved(kept, numbers_of(Path("results", job.campaign), job.results))]
