@@ -209,7 +209,7 @@ def test_a_survey_at_a_glance(tmp_path):
         "Accuracy & more : The cloud is fine.",
         "Point cloud by the best trajectory LAZ, EPSG:25833, 3.2 MB CloudCompare, QGIS, CAD",
         "Report of survey PDF, 1 kB to print and hand in",
-        "Point cloud, INS and GNSS LAZ, local frame, 3.2 MB CloudCompare",
+        "Point cloud, GNSS LAZ, local frame, 3.2 MB CloudCompare",
         "Open in three dimensions: point cloud",
         "strip of the bed logs.light_sheet",
         "Sections across. no point lies 2 to 25 m beside the track",

@@ -62,4 +62,9 @@ folder of results, what it is, what opens it."""
 
 def products_of(folder: Path, known: Sequence[Product]) -> list[tuple[Path, str, str]]:
     """Those of the known files that are there: path, what it is, what opens it."""
-    return [(path, words, use) for name, words, use in known for path in sorted(folder.glob(name))]
+    by = "INS and GNSS" if (folder / "ingest/ins.integrity.json").exists() else "GNSS"
+    return [
+        (path, words.replace("INS and GNSS", by), use)
+        for name, words, use in known
+        for path in sorted(folder.glob(name))
+    ]

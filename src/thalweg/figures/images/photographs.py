@@ -475,12 +475,12 @@ def _sigma_finding(facts: Mapping[str, Any], stated: str = "") -> Finding:
     return Finding("position sigma, x / y / z, median", f"{sigma} mm", stated)
 
 
-def _check_finding(check: Mapping[str, Any], worth: str = "") -> Finding:
+def _check_finding(check: Mapping[str, Any], judged: str, worth: str = "") -> Finding:
     """What check points say, with the verdict on the predicted standard deviations."""
     return Finding(
         f"RMSE of {plural(check['points'], 'check point')}, x / y / z",
-        f"{_three(check['rmse_mm'])} mm, predicted {_three(check['predicted_mm'])} mm{worth}",
-        verdict_of(check["normalised"], check["independent"]),
+        f"{_three(check['rmse_mm'])} mm",
+        f"predicted {_three(check['predicted_mm'])} mm{worth}; {judged}",
     )
 
 
@@ -525,15 +525,16 @@ def orientation_page(
         ),
         _sigma_finding(facts),
         Finding(
-            "sigma0 of the adjustment", f"{facts['sigma0']:.2f}, redundancy {count(facts['redundancy'])}"
+            "sigma0 of the adjustment", f"{facts['sigma0']:.2f}", f"redundancy {count(facts['redundancy'])}"
         ),
         Finding(
-            "tie points", f"{count(facts['tie_points'])}, each in {facts['marks_a_point']:.1f} photographs"
+            "tie points", count(facts["tie_points"]), f"each in {facts['marks_a_point']:.1f} photographs"
         ),
     ]
     if check:
-        findings.append(_check_finding(check, f"; effective n = {check['independent']:.0f}"))
-        lead = f"Check points: {JUDGED[findings[-1].verdict]}."
+        judged = verdict_of(check["normalised"], check["independent"])
+        findings.append(_check_finding(check, judged, f", effective n = {check['independent']:.0f}"))
+        lead = f"Check points: {JUDGED[judged]}."
     else:
         findings.append(Finding("check points", "none", "too few data"))
         lead = "No check point judges the standard deviations; give some of the points the role check."
@@ -592,8 +593,9 @@ def finished_page(
     ]
     lead = "No check point judges the poses; give control points and their marks."
     if check:
-        findings.append(_check_finding(check))
-        lead = f"Surveyed points: {JUDGED[findings[-1].verdict]}."
+        judged = verdict_of(check["normalised"], check["independent"])
+        findings.append(_check_finding(check, judged))
+        lead = f"Surveyed points: {JUDGED[judged]}."
     page = Page(title, lead, findings).pictures(pictures, captions, section="Positions")
     if len(control):
         _add_points(
