@@ -5,7 +5,7 @@ CORES ?= $(shell nproc 2>/dev/null || sysctl -n hw.ncpu 2>/dev/null || echo 2)
 PY := .venv/bin/python
 SNAKEMAKE := .venv/bin/snakemake --cores $(CORES)
 
-.PHONY: help env demo open pdf docs study record timings report real test check check-types check-rest test-slow test-cluster fuzz mutants golden benchmark dist release-check lock clean
+.PHONY: help env demo open pdf docs study record timings report real test check check-types check-rest test-slow test-cluster fuzz mutants golden numbers benchmark dist release-check lock clean
 
 help: ## list the commands
 	@awk -F':.*## ' '/^[a-z-]+:.*## / { printf "  make %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -92,6 +92,9 @@ golden: env ## results of small campaigns beside those of another checkout, made
 	@$(SNAKEMAKE) reproduce
 	@bash tests/golden/commands.sh
 	@[ -z "$(BEFORE)" ] || $(PY) tests/golden/compare.py $(BEFORE)/results results
+
+numbers: env ## every number of small campaigns, which tests compare, written anew: after a change that moves results
+	@$(PY) tests/golden/kept_numbers.py
 
 benchmark: env ## speed against named peers
 	@$(PY) -m pytest tests/benchmarks -m slow -s

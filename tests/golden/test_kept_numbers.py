@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from .kept_numbers import SHARE, moved, numbers_of
+from .kept_numbers import SHARE, moved, numbers_of, shares
 
 
 def results(folder, *, heights_m=(1.0, 2.0, 6.0), sigma_m=0.02, more=()):
@@ -32,7 +32,7 @@ def test_a_table_holds_count_mean_and_standard_deviation(tmp_path):
 
 
 def test_what_moves_is_named_and_rounding_is_not(tmp_path):
-    kept = results(tmp_path / "a")
+    kept = results(tmp_path / "a").assign(share=SHARE)
     limit_m = SHARE * np.sqrt(14 / 3)
     within = results(tmp_path / "b", heights_m=(1.0, 2.0, 6.0 + limit_m), sigma_m=0.02 * (1 + 0.9 * SHARE))
     assert [*moved(kept, within)] == []
@@ -42,7 +42,22 @@ def test_what_moves_is_named_and_rounding_is_not(tmp_path):
     assert line.startswith("lens.json: .sigma_m: ")
     (line,) = moved(kept, results(tmp_path / "e", heights_m=(1.0, 2.0, np.nan)))
     assert "n 3 -> 2" in line
-    (line,) = moved(kept, results(tmp_path / "f", more=["new.json"]))
-    assert line == "new.json: .x: only found"
-    (line,) = moved(results(tmp_path / "g", more=["new.json"]), kept)
-    assert line == "new.json: .x: only kept"
+    more = results(tmp_path / "f", more=["new.json"])
+    assert [*moved(kept, more)] == ["new.json: .x: only found"]
+    assert [*moved(more.assign(share=SHARE), kept)] == ["new.json: .x: only kept"]
+
+
+def test_files_that_depend_on_the_processor_have_wider_limits(tmp_path):
+    found = results(tmp_path / "a")
+    plain = results(tmp_path / "b", heights_m=(1.0, 2.0, 6.5))
+    share = shares(found, plain)
+    sd = np.sqrt(14 / 3)
+    off = max(0.5 / 3, np.std([1.0, 2.0, 6.5]) - sd) / sd
+    assert share[("heights.csv", "height_m")] == pytest.approx(10 * off)
+    assert share[("heights.csv", "t_gps_s")] == 0.1
+    assert share[("lens.json", ".sigma_m")] == SHARE
+    kept = found.assign(share=share)
+    assert [*moved(kept, plain)] == []
+    assert [*moved(kept, results(tmp_path / "c", heights_m=(1.0, 2.0, 60.0)))]
+    # a value that only one of the two has
+    assert (shares(found, found.drop(("lens.json", ".sigma_m")))["lens.json"] >= 0.1).all()

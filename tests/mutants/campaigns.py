@@ -5,19 +5,22 @@ import json
 import os
 import runpy
 import shutil
-import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
 
-REPOSITORY: Final = Path(__file__).resolve().parents[2]
-sys.path.insert(0, str(REPOSITORY))
-from tests.golden.kept_numbers import CAMPAIGNS, moved, numbers_of, read_kept  # noqa: E402
-
-COPIED: Final = ("Snakefile", "config", "envs", "profiles", "resources", "src", "workflow")
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+from tests.golden.kept_numbers import (
+    CAMPAIGNS,
+    COPIED,
+    REPOSITORY,
+    moved,
+    numbers_of,
+    read_kept,
+    run_campaigns,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +32,7 @@ class Job:
     results: tuple[str, ...]
 
 
-def prepared(kept: Path, workers: int) -> Path:
+def prepared(kept: Path) -> Path:
     """Folder in which the campaigns ran with the right code, made where it is not there; may take minutes."""
     digest = hashlib.sha256()
     for name in COPIED:
@@ -42,19 +45,11 @@ def prepared(kept: Path, workers: int) -> Path:
         return house
     for old in kept.glob("campaigns_*"):
         shutil.rmtree(old)
-    house.mkdir(parents=True)
-    for name in COPIED:
-        if (REPOSITORY / name).is_dir():
-            shutil.copytree(REPOSITORY / name, house / name)
-        else:
-            shutil.copy(REPOSITORY / name, house / name)
-    (house / "jobs").mkdir()
-    environment = {**os.environ, "PYTHONPATH": str(house / "src")}
-    for campaign, results in CAMPAIGNS.items():
-        record = [sys.executable, Path(__file__).with_name("record.py"), house / "jobs"]
-        asked = ["--cores", str(workers), "--quiet", "all", "--notemp", "--config", f"campaign={campaign}"]
-        targets = [f"results/{campaign}/{name}" for name in results]
-        subprocess.run([*record, *asked, "--", *targets], cwd=house, env=environment, check=True)
+    jobs = kept / "jobs"
+    shutil.rmtree(jobs, ignore_errors=True)
+    jobs.mkdir(parents=True)
+    run_campaigns(house, {}, [str(Path(__file__).with_name("record.py")), str(jobs)], ["--notemp"])
+    jobs.rename(house / "jobs")
     (house / "complete").touch()
     return house
 

@@ -612,7 +612,7 @@ def judge(runs: Sequence[Run], workers: int, minutes: float) -> set[str]:
 
 def judge_by_campaigns(runs: Sequence[Run], workers: int, minutes: float) -> None:
     """Run survivors in the jobs of small campaigns that execute them: ``moved`` where a number moves."""
-    house = campaigns.prepared(KEPT, workers)
+    house = campaigns.prepared(KEPT)
     jobs = {job.script.stem: job for job in campaigns.jobs_of(house)}
 
     def table(name: str) -> Path:

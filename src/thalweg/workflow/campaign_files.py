@@ -49,7 +49,7 @@ _DELIVERED: Final = {
     "bathymetry/bed.tif": "grid of the riverbed: height and standard deviation",
     "fusion/dtm.tif": "terrain model of bed and banks: height, standard deviation, source",
     "triangulation/strip/bed.laz": "strip of the bed by the light sheet",
-    "orientation/trajectory.parquet": "trajectory by INS and GNSS with covariances, local frame",
+    "orientation/trajectory.parquet": "trajectory with covariances, local frame",
     "orientation/trajectory_fused.parquet": "trajectory by all sensors with covariances, local frame",
     "orientation/track.geojson": "track by GNSS",
     "summary.csv": "key numbers",

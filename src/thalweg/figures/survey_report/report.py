@@ -341,9 +341,9 @@ def _offsets(page: _Report, settings: Mapping[str, Any]) -> None:
     found = (page.json("calibration/mounts.json") or {"mounts": {}})["mounts"]
     mounts = {name: of for name, of in found.items() if name in settings["sensors"]}
     page.text(
-        "Offsets are given in the body frame of the INS: x forward, y to starboard, z down, from its "
-        "reference point. Angles turn a sensor's frame into it, about x, then y, then z (omega, phi, "
-        "kappa)."
+        "Offsets are given in the body frame: x forward, y to starboard, z down, from the reference point "
+        "of the INS, or of the boat where there is none. Angles turn a sensor's frame into it, about x, "
+        "then y, then z (omega, phi, kappa)."
     )
     levers = [
         (name.replace("_", " "), *_with_sigma(of["lever_ics_m"], of["sigma_lever_m"]), of["source"])
