@@ -281,11 +281,16 @@ def head(table: pd.DataFrame) -> tuple[str, list[Finding]]:
     rmse = {name: value(table, WITHOUT_OUTLIERS, "rmse", name) for name in names}
     ranked = sorted(names, key=lambda name: rmse[name]) if np.isfinite(list(rmse.values())).all() else []
     for name in names:
-        placed = f"{percent(value(table, SHOTS, 'share_with_pose', name))} of the points have a pose"
-        if ranked:
-            placed += f"; RMSE from the reference {centimetres(rmse[name])}"
+        placed = percent(value(table, SHOTS, "share_with_pose", name))
+        best = "; smallest RMSE" if [name] == ranked[:1] else ""
         findings.append(
-            Finding(f"by {BY_NAME[name]}", placed, "smallest RMSE" if [name] == ranked[:1] else "")
+            Finding(
+                f"cloud to reference, RMSE, by {BY_NAME[name]}",
+                centimetres(rmse[name]),
+                f"{placed} of the points have a pose{best}",
+            )
+            if ranked
+            else Finding(f"points with a pose, by {BY_NAME[name]}", placed)
         )
     if len(ranked) < 2:
         return "No reference surface judges the trajectories.", findings

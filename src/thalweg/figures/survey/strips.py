@@ -30,12 +30,16 @@ def strips_page(found: Adjusted, *, title: str, twin: bool, notes: list[str]) ->
         [
             Finding("planar patches", count(facts["planes"])),
             Finding("unknowns that the overlaps determine", count(facts["told_unknowns"])),
-            Finding(
-                "observations, redundancy", f"{count(facts['observations'])}, {count(facts['redundancy'])}"
-            ),
+            Finding("observations", count(facts["observations"]), f"redundancy {count(facts['redundancy'])}"),
             Finding("rejected, off their plane", count(facts["not_on_planes"])),
-            Finding("knots", f"{count(facts['knots'])}, one every {facts['knot_s']:.2f} s"),
-            Finding("not determined, left unchanged", ", ".join(facts["not_told"]) or "none"),
+            Finding("knots", count(facts["knots"]), f"one every {facts['knot_s']:.2f} s"),
+            Finding(
+                "unknowns left unchanged",
+                count(len(facts["not_told"])),
+                f"not determined: {', '.join(each.partition(' [')[0] for each in facts['not_told'])}"
+                if facts["not_told"]
+                else "",
+            ),
         ],
     )
     page.section("Strips")
