@@ -282,12 +282,12 @@ def head(table: pd.DataFrame) -> tuple[str, list[Finding]]:
     ranked = sorted(names, key=lambda name: rmse[name]) if np.isfinite(list(rmse.values())).all() else []
     for name in names:
         placed = percent(value(table, SHOTS, "share_with_pose", name))
-        best = "; smallest RMSE" if [name] == ranked[:1] else ""
+        smallest = "; smallest RMSE" if [name] == ranked[:1] else ""
         findings.append(
             Finding(
                 f"cloud to reference, RMSE, by {BY_NAME[name]}",
                 centimetres(rmse[name]),
-                f"{placed} of the points have a pose{best}",
+                f"{placed} of the points have a pose{smallest}",
             )
             if ranked
             else Finding(f"points with a pose, by {BY_NAME[name]}", placed)
