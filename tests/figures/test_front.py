@@ -231,7 +231,7 @@ def test_each_kind_shows_the_numbers_of_its_page(tmp_path):
     text = words(front(tmp_path, "change"))
     assert text.count("volume of erosion −12.6 ± 0.6 m³ not zero, at 95 %") == 7  # of nine
     assert "Open in three dimensions: point cloud" in text
-    assert text.count("Difference of heights TIF, EPSG:25833") == 2
+    assert text.count("Difference of heights, ") == text.count(" TIF, EPSG:25833") == 2
     page = (tmp_path / "results/change/index.html").read_text()
     assert '<a href="deformation/index.html">−12.6 ± 0.6\N{NO-BREAK SPACE}m³</a>' in page
     assert "sigma0 1.02 consistent" in words(front(tmp_path, "photographs"))

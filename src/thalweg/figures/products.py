@@ -61,10 +61,12 @@ folder of results, what it is, what opens it."""
 
 
 def products_of(folder: Path, known: Sequence[Product]) -> list[tuple[Path, str, str]]:
-    """Those of the known files that are there: path, what it is, what opens it."""
+    """Those of the known files that are there: path, what it is and of several alike which, what opens it."""
     by = "INS and GNSS" if (folder / "ingest/ins.integrity.json").exists() else "GNSS"
-    return [
-        (path, words.replace("INS and GNSS", by), use)
-        for name, words, use in known
-        for path in sorted(folder.glob(name))
-    ]
+    found = []
+    for name, words, use in known:
+        paths = sorted(folder.glob(name))
+        for path in paths:
+            which = f", {path.stem.rpartition('_')[2]}" if len(paths) > 1 else ""
+            found.append((path, words.replace("INS and GNSS", by) + which, use))
+    return found

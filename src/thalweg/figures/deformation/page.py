@@ -193,9 +193,11 @@ def read_pair_facts(
 
 
 def cubic_metres(row: Mapping[str, float]) -> str:
-    """``−12.0 ± 0.6 m³``: a volume with its standard deviation."""
-    digits = int(np.clip(1 - np.floor(np.log10(max(row["sigma_m3"], 1e-9))), 0, 3)) if row["sigma_m3"] else 1
-    return f"{signed(row['volume_m3'], digits)} ± {number(row['sigma_m3'], decimals=digits)} m³"
+    """``−12.0 ± 0.6 m³``: a volume with its standard deviation, to two digits of that."""
+    volume, sigma = row["volume_m3"], row["sigma_m3"]
+    digits = int(min(1 - np.floor(np.log10(max(sigma, 1e-9))), 3)) if sigma else 1
+    decimals = max(digits, 0)
+    return f"{signed(round(volume, digits), decimals)} ± {number(round(sigma, digits), decimals=decimals)} m³"
 
 
 def told(row: Mapping[str, float], *, known: bool) -> str:
