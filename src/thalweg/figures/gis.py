@@ -118,7 +118,7 @@ class _Project:
             table = geopandas.read_file(path, layer=name)
             if not len(table):
                 continue
-            if name != "contours":
+            if name not in ("contours", *changes):  # patches are a part of what was compared
                 self._view(table.total_bounds)
             source = f"{self._relative(path)}|layername={name}"
             if name in _LINES:
