@@ -18,7 +18,7 @@ from thalweg.core import InputError, Trajectory, final_path, read_json, utc_text
 from thalweg.figures.accuracy import centimetres
 from thalweg.figures.page import Finding, Page, escape, findings_html, findings_of, small_picture
 from thalweg.figures.products import MAP_FILES, OWN_FILES, Product, products_of
-from thalweg.figures.style import count, note_of, number, plural
+from thalweg.figures.style import count, duration, note_of, number, plural
 from thalweg.figures.survey import centre_in_words, track_gaps, track_length_m
 from thalweg.ingest import IntegrityReport
 
@@ -185,7 +185,7 @@ def _of_survey(files: Mapping[str, Path], track: Trajectory, chain: str) -> Iter
     """The numbers that tell how good a survey is, each with its verdict and what it rests on."""
     sigma_m = float(np.median(np.sqrt(track.cov_pose_wcs[track.valid][:, range(3), range(3)].sum(axis=1))))
     gaps = track_gaps(track)
-    missing = f"{plural(len(gaps), 'gap')}, {sum(length for _, length in gaps):.1f} s" if gaps else "no gap"
+    missing = f"{plural(len(gaps), 'gap')}, {duration(sum(s for _, s in gaps))}" if gaps else "no gap"
     compared = "accuracy/trajectories.html" if "accuracy/trajectories.html" in files else ""
     words = "GNSS" if chain == "trajectory" and "ingest/ins.integrity.json" not in files else CHAINS[chain]
     sigma = centimetres(sigma_m) if sigma_m < 1 else f"{sigma_m:.1f} m"
@@ -234,7 +234,7 @@ def _stream(path: Path) -> str:
     tone = "unsure" if missing or report.gaps else "good"
     if report.gaps and report.t_first_s is not None and report.t_last_s is not None:
         without_s = sum(gap.duration_s for gap in report.gaps)
-        missing.insert(0, f"{plural(len(report.gaps), 'gap')}, {without_s:.1f} s")
+        missing.insert(0, f"{plural(len(report.gaps), 'gap')}, {duration(without_s)}")
         tone = "bad" if without_s > _LARGE * (report.t_last_s - report.t_first_s) else tone
     state = f"{'✖' if tone == 'bad' else '▲'} {'; '.join(missing)}" if missing else "✔ complete"
     name = path.name.split(".")[0]

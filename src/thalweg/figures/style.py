@@ -535,6 +535,20 @@ def count(n: float) -> str:
     return "–" if np.isnan(n) else f"{n:,.0f}".replace(",", "\N{NO-BREAK SPACE}")
 
 
+def duration(seconds: float) -> str:
+    """A length of time in the unit that reads best.
+
+    Examples
+    --------
+    >>> duration(2.13), duration(754.0), duration(17862.2)
+    ('2.1 s', '12.6 min', '5.0 h')
+    """
+    for longest, unit, words in ((120.0, 1.0, "s"), (7200.0, 60.0, "min")):
+        if seconds < longest:
+            return f"{seconds / unit:.1f} {words}"
+    return f"{seconds / 3600.0:.1f} h"
+
+
 def robust_limits(values: ArrayLike, low: float = 1.0, high: float = 99.0) -> tuple[float, float]:
     """Limits of a colour scale: percentiles of the finite values, never equal; (0, 1) without any value."""
     v = np.asarray(values, dtype=np.float64)
