@@ -208,7 +208,8 @@ def _of_survey(files: Mapping[str, Path], track: Trajectory, chain: str) -> Iter
         words = (
             "too few lines to judge its sigma" if told == "too few data" else f"standard deviations: {told}"
         )
-        words = f"mean error {centimetres(bed['bias_m'], sign=True)}; {words}"
+        side = "high" if bed["bias_m"] > 0 else "low"
+        words = f"on average {centimetres(abs(bed['bias_m']))} too {side}; {words}"
         quantity = f"riverbed, RMSE of {bed['lines']} left-out lines"
         yield Finding(quantity, centimetres(bed["rmse_m"]), words, "bathymetry/index.html")
     if counts := files.get("lidar/counts.csv"):

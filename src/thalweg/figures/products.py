@@ -7,7 +7,7 @@ from typing import Final
 Product = tuple[str, str, str]
 MAP_FILES: Final[Sequence[Product]] = (
     ("report.pdf", "Report of survey", "to print and hand in"),
-    ("survey.qgz", "QGIS project", "QGIS: everything on one map"),
+    ("survey.qgz", "QGIS project", "QGIS: all on one map, beside these files"),
     ("survey.gpkg", "Its layers: track, soundings, river, changes", "QGIS, ArcGIS"),
     ("lidar/points_map.laz", "Point cloud by the best trajectory", "CloudCompare, QGIS, CAD"),
     ("lidar/points_map.copc.laz", "The same cloud, streamable (COPC)", "QGIS, PDAL, Potree"),

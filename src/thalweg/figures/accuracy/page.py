@@ -84,7 +84,7 @@ def head(facts: Mapping[str, Any], statistics: pd.DataFrame) -> tuple[str, list[
     told = verdict_of_ratio(*band)
     certain = abs(mean) > 2 * value_of(statistics, "sigma_of_bias")
     findings = [
-        Finding("points compared", f"{count(n_all)}, {100.0 * (1.0 - n / n_all):.1f} % outliers"),
+        Finding("points compared", count(n_all), f"{100.0 * (1.0 - n / n_all):.1f} % outliers"),
         Finding("RMSE of the distances, without outliers", centimetres(rmse)),
         Finding(
             "predicted by their standard deviations",
@@ -93,8 +93,9 @@ def head(facts: Mapping[str, Any], statistics: pd.DataFrame) -> tuple[str, list[
         ),
         Finding(
             "mean distance",
-            f"{centimetres(abs(mean))} {'in front of' if mean > 0 else 'behind'} the reference",
-            "beyond twice its standard deviation" if certain else "no certain offset",
+            centimetres(abs(mean)),
+            f"{'in front of' if mean > 0 else 'behind'} the reference, "
+            + ("beyond twice its standard deviation" if certain else "no certain offset"),
         ),
     ]
     after = value_of(statistics, "rmse", registration=REGISTERED)

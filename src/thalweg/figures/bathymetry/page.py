@@ -48,17 +48,16 @@ def bed_page(
     told = verdict_of(validation["normalised_square"], validation["lines"])
     findings = [
         Finding("soundings that count", f"{count(facts['by_reason'][''])} of {count(facts['pings'])}"),
-        Finding("bed", f"{count(found['cells'])} cells, {found['area_m2']:.0f} m²"),
+        Finding("bed", f"{count(found['area_m2'])} m²", f"{count(found['cells'])} cells"),
         Finding(
             "standard deviation of a cell, median",
-            f"{100 * found['median sigma_m']:.1f} cm, of which all share "
-            f"{100 * found['median sigma_common_m']:.1f} cm",
+            f"{100 * found['median sigma_m']:.1f} cm",
+            f"of which all share {100 * found['median sigma_common_m']:.1f} cm",
         ),
         Finding(
-            f"left-out lines, n = {validation['lines']}: RMSE",
-            f"{100 * validation['rmse_m']:.1f} cm, squares over predicted variances "
-            f"{validation['normalised_square']:.2f}",
-            told,
+            f"RMSE of {validation['lines']} left-out lines",
+            f"{100 * validation['rmse_m']:.1f} cm",
+            f"squares over predicted variances {validation['normalised_square']:.2f}; {told}",
         ),
         Finding("outside the 95 % interval", f"{100 * validation['outside_95']:.1f} %"),
     ]
