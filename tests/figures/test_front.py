@@ -198,7 +198,7 @@ def test_a_survey_at_a_glance(tmp_path):
         "position of the boat, median 3D σ, all sensors 3.5 cm 1 gap, 2.1 s",
         "cloud to reference, RMSE, all sensors 5.0 cm predicted 5.0 cm: consistent",
         "cloud to reference, RMSE, INS and GNSS 5.0 cm predicted 2.5 cm: too optimistic",
-        "riverbed, RMSE of 4 left-out lines 5.2 cm on average 1.1 cm too low; too few lines to judge its sigma",
+        "riverbed, RMSE of 4 left-out lines 5.2 cm on average 1.1 cm too low; too few lines to judge",
         "points in the cloud 600 of 1 000 decoded",
         "soundings used 291 of 300 pings; the others with their reasons",
         "inputs without loss 1 of 3 of the others something is missing",
