@@ -4,12 +4,15 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
+from thalweg.core import read_json
+
 Product = tuple[str, str, str]
+BEST: Final = "Point cloud by the best trajectory"
 MAP_FILES: Final[Sequence[Product]] = (
     ("report.pdf", "Report of survey", "to print and hand in"),
     ("survey.qgz", "QGIS project", "QGIS: all on one map, beside these files"),
     ("survey.gpkg", "Its layers: track, soundings, river, changes", "QGIS, ArcGIS"),
-    ("lidar/points_map.laz", "Point cloud by the best trajectory", "CloudCompare, QGIS, CAD"),
+    ("lidar/points_map.laz", BEST, "CloudCompare, QGIS, CAD"),
     ("lidar/points_map.copc.laz", "The same cloud, streamable (COPC)", "QGIS, PDAL, Potree"),
     ("fusion/dtm.tif", "Terrain model of bed and banks", "QGIS, ArcGIS, hydraulic models"),
     ("bathymetry/bed.tif", "Riverbed with standard deviations", "QGIS, ArcGIS"),
@@ -68,5 +71,13 @@ def products_of(folder: Path, known: Sequence[Product]) -> list[tuple[Path, str,
         paths = sorted(folder.glob(name))
         for path in paths:
             which = f", {path.stem.rpartition('_')[2]}" if len(paths) > 1 else ""
+            words = _of_best(path) or words if words == BEST else words
             found.append((path, words.replace("INS and GNSS", by) + which, use))
     return found
+
+
+def _of_best(path: Path) -> str:
+    """What the cloud is of which that by the best trajectory was made; "" where nothing tells."""
+    made_of = path.with_name(f"{path.name}.meta.json")
+    inputs = read_json(made_of)["inputs"] if made_of.exists() else ()
+    return next((words for name, words, _ in OWN_FILES for each in inputs if each.endswith(name)), "")
