@@ -69,8 +69,13 @@ def jobs_of(house: Path) -> Iterator[Job]:
                 yield Job(script, campaign, files)
 
 
-def repeat(job: Job, house: Path, *, compare: bool) -> list[str]:
-    """Run a job again, beside the results that are there: which of its numbers are not as kept."""
+def repeat(job: Job, house: Path, *, compare: bool) -> tuple[list[str], bool]:
+    """Run a job again, beside the results that are there.
+
+    Returns
+    -------
+    which of its numbers are not as kept, and whether any is another one in the last digit.
+    """
     with tempfile.TemporaryDirectory() as folder:
         for each in house.iterdir():
             if each.name != "results":
@@ -79,7 +84,8 @@ def repeat(job: Job, house: Path, *, compare: bool) -> list[str]:
         os.chdir(folder)
         runpy.run_path(str(job.script), run_name="__main__")
         if not compare:
-            return []
+            return [], False
         kept = read_kept(job.campaign)
         kept = kept[kept.index.get_level_values("file").isin(job.results)]
-        return [*moved(kept, numbers_of(Path("results", job.campaign), job.results))]
+        found, right = (numbers_of(root / "results" / job.campaign, job.results) for root in (Path(), house))
+        return [*moved(kept, found)], not found.equals(right)
