@@ -700,8 +700,8 @@ def report(runs: Sequence[Run], seed: int, cpu_s: float, wall_s: float, left: in
         f"(95 %); at most {100 * MOST_SURVIVORS:.0f} % may",
         f"- {sum(run.verdict == 'moved' for run in runs)} of these move a number of a campaign and fail no"
         " other test",
-        f"- {sum(run.in_campaigns == 'nothing' for run in lost)} survivors are executed by jobs of campaigns and"
-        " change none of their results",
+        f"- {sum(run.in_campaigns == 'nothing' for run in lost)} survivors are executed by jobs of campaigns"
+        " and change none of their results",
         "",
         "| module | test files | mistakes | found | survive |",
         "| --- | --- | --- | --- | --- |",
