@@ -261,6 +261,19 @@ def test_the_place_of_most_targets(scaled):
         np.testing.assert_allclose(middle, there[good].mean(axis=0), atol=1e-9)
 
 
+@pytest.mark.parametrize(("off", "kept"), [(0.1, True), (0.5, False)])
+def test_a_target_agrees_within_a_share_of_the_size(off, kept):
+    """15 % of the root mean square distance from the middle, of fields of any size; four fit exactly."""
+    for size in (0.02, 40.0):
+        places = size * TARGETS[[0, 1, 2, 3, 5]]
+        root = np.sqrt(np.square(places - places.mean(axis=0)).sum(axis=1).mean())
+        there = PLACE.apply(places)
+        there[4] += [0.0, 0.0, off * root]
+        found = approximate_place(places, there, scaled=False)
+        assert found is not None
+        assert np.allclose(found[1].matrix, PLACE.matrix, atol=1e-9 * size) != kept
+
+
 @pytest.mark.parametrize(("factor", "there"), [(0.59, False), (0.61, True), (1.59, True), (1.61, False)])
 def test_a_place_of_another_size_is_none(factor, there):
     found = approximate_place(TARGETS, PLACE.apply(factor * TARGETS), scaled=True)
