@@ -18,6 +18,7 @@ from thalweg.core import (
     write_chains,
 )
 from thalweg.deformation import Epoch, ErrorField, check_order, prepare_epoch
+from thalweg.deformation.epochs import _rates
 from thalweg.deformation.m3c2 import ColumnIndex
 from thalweg.lidar import CORRELATION_DIMENSIONS, CORRELATIONS, SIGMAS, georeference_points
 from thalweg.lidar.cloud import EXTRA_DIMENSIONS
@@ -275,3 +276,19 @@ def test_bad_epochs_are_refused(survey, tmp_path):
         writer.append(np.zeros((3, 3)), t_gps_s=np.full(3, 1e9))
     with pytest.raises(InputError, match=r"no sigma_east, corr_east_up.*georeferencing.correlations"):
         prepared((bare, *survey[1:]))
+
+
+def test_the_boat_moves_and_turns_as_between_the_poses_around():
+    """Steps of 1, 2 and 1 s, each with a velocity and a turn of its own; at a node those of the next step."""
+    turned = Rotation.from_euler("z", [[0.0], [0.1], [0.5], [0.2]])
+    trajectory = Trajectory(
+        frame=FRAME,
+        t_gps_s=np.array([0.0, 1.0, 3.0, 4.0]),
+        position_wcs_m=np.array([[0.0, 0, 0], [2, 0, 0], [2, 6, 0], [2, 6, -1]]),
+        quaternion_wcs_ics=turned.as_quat(),
+        cov_pose_wcs=np.zeros((4, 6, 6)),
+        valid=np.ones(4, dtype=bool),
+    )
+    velocity, turning = _rates(trajectory, np.array([0.5, 1.0, 2.9, 3.5, 4.0]))
+    assert velocity == pytest.approx(np.array([[2, 0, 0], [0, 3, 0], [0, 3, 0], [0, 0, -1], [0, 0, -1]]))
+    assert turning[:, 2] == pytest.approx([0.1, 0.2, 0.2, -0.3, -0.3])

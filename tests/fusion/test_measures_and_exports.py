@@ -2,7 +2,9 @@
 
 import re
 import time
+from types import SimpleNamespace
 
+import geopandas
 import numpy as np
 import pandas as pd
 import pytest
@@ -11,11 +13,11 @@ from scipy.spatial.distance import cdist
 
 from tests.fusion.conftest import DEPTH_M, FRAME, GRID, HALF_WIDTH_M, LEVEL_UP_M, bed_up_m
 from thalweg.bathymetry import REASONS, FlowLine
-from thalweg.core import CoverageError, Trajectory, utc_text_from_gps
+from thalweg.core import CoverageError, Grid, Trajectory, utc_text_from_gps
 from thalweg.core.values import describe_layers, read_vectors
 from thalweg.fusion import Dtm, River, map_of_campaign
-from thalweg.fusion.exports import contour_lines, write_bag, write_csv, write_hecras, write_swmm
-from thalweg.fusion.maps import _CONTOURS, _contours, _track
+from thalweg.fusion.exports import contour_lines, export_river, write_bag, write_csv, write_hecras, write_swmm
+from thalweg.fusion.maps import _CONTOURS, _contours, _track, map_of_bed
 from thalweg.fusion.measures import (
     correlated_sigma,
     cut_sections,
@@ -276,6 +278,42 @@ def test_patches_of_change_are_points(tmp_path):
     # nothing has changed: a file without a row all the same
     map_of_campaign(tmp_path / "none.gpkg", [], [], [], [], [], [], files[1:], MAP, SETTINGS)
     assert [(of["name"], of["n"]) for of in describe_layers(tmp_path / "none.gpkg")] == [("changes_b_c", 0)]
+
+
+def test_without_sections_their_files_are_not_written(river, tmp_path):
+    facts = export_river(tmp_path, None, river, [], Fusion(exports=["hecras", "swmm"]))
+    assert facts == {"not_written": dict.fromkeys(["hecras", "swmm"], "no cross section"), "written": []}
+
+
+def test_a_map_of_a_bed_has_soundings_banks_by_side_and_the_centre_line(river, tmp_path):
+    """Of a bed that rises to the east: contours run north."""
+    grid = Grid(west_m=500_000.0, north_m=5_400_040.0, cell_m=4.0, rows=10, columns=12, crs=GRID)
+    up = 90.0 + 0.1 * (grid.centres_m().reshape(-1, 2)[:, 0] - 500_000.0)
+    rows = [
+        {"side": side, "s_m": s, "east_m": 500_000.0 + s, "north_m": 5_400_000.0 + n}
+        for side, n in (("left", 30.0), ("right", 5.0))
+        for s in (20.0, 0.0, 10.0)
+    ]
+    line = FlowLine.through([[500_000.0 + 10 * k, 5_400_020.0] for k in range(5)])
+    water = SimpleNamespace(line=line, area=None, banks=SimpleNamespace(table=pd.DataFrame(rows)))
+    places = np.array([[500_003.0, 5_400_007.0], [500_009.0, 5_400_011.0]])
+    soundings = SimpleNamespace(
+        places_m=places, height_m=np.array([91.0, 92.0]), sigma_m=np.full(2, 0.1), line=np.array([3, 4])
+    )
+    found = SimpleNamespace(bed=SimpleNamespace(grid=grid, up_m=up), water=water)
+    map_of_bed(tmp_path / "bed.gpkg", found, soundings)
+    layer = {of: geopandas.read_file(tmp_path / "bed.gpkg", layer=of) for of in ("soundings", "banks")}
+    points, banks = layer["soundings"], layer["banks"]
+    assert [p.coords[0] for p in points.geometry] == [(*place, 91.0 + k) for k, place in enumerate(places)]
+    assert points[["sigma", "line"]].to_numpy().tolist() == [[0.1, 3], [0.1, 4]]
+    assert banks["side"].tolist() == ["left", "right"]
+    for geometry, n in zip(banks.geometry, (30.0, 5.0), strict=True):
+        assert list(geometry.coords) == [(500_000.0 + s, 5_400_000.0 + n) for s in (0.0, 10.0, 20.0)]
+    contours = geopandas.read_file(tmp_path / "bed.gpkg", layer="contours")
+    east = [np.mean(np.array(line.coords)[:, 0]) for line in contours.geometry]
+    assert east == pytest.approx(500_000.0 + (contours["height_m"] - 90.0) / 0.1)
+    centre = geopandas.read_file(tmp_path / "bed.gpkg", layer="centre_line").geometry[0]
+    assert np.array(centre.coords)[[0, -1]].tolist() == line.points_m[[0, -1]].tolist()
 
 
 def test_a_bag_is_read_by_gdal(model, tmp_path):

@@ -9,12 +9,14 @@ from scipy.stats import chi2
 
 from tests.images.block_scene import dense
 from thalweg.calibration import LENSES, Rig
-from thalweg.core import GeometryError, LocalFrame, Rigid
+from thalweg.core import GeometryError, LocalFrame, Rigid, exp_rotation
 from thalweg.images.bundle import adjust_block, pose_covariance, rig_frames
 from thalweg.images.bundle.adjustment import FEW_MARKS, image_poses
 from thalweg.images.bundle.checks import interior_notes
+from thalweg.images.bundle.job import _places
 from thalweg.images.bundle.normals import Correlation, linearised, reduced_system, tracks_of, views
 from thalweg.images.bundle.problem import Antenna, Layout, Problem, moved, start_state
+from thalweg.images.model import ImagePoses
 from thalweg.settings.sections import BlockAdjustment, Rig as RigSettings
 from thalweg_lab.dual_fisheye import TrueRig, true_rig
 from thalweg_lab.settings import TwinDualFisheye
@@ -119,6 +121,24 @@ def test_a_rig_of_one_lens_is_no_rig():
     assert within.sigma0 == pytest.approx(without.sigma0, rel=1e-9)
 
 
+def image_poses_of(n: int) -> ImagePoses:
+    """Poses of exposures named by their numbers, with nothing known."""
+    return ImagePoses(
+        frame=LocalFrame(lat_deg=50.9, lon_deg=13.3, h_ell_m=300.0),
+        images=tuple(str(k) for k in range(n)),
+        t_gps_s=1.4e9 + np.arange(n),
+        sigma_t_s=np.full(n, 0.02),
+        oriented=np.zeros(n, bool),
+        reasons=("",) * n,
+        centre_wcs_m=np.full((n, 3), np.nan),
+        R_wcs_ccs=np.full((n, 3, 3), np.nan),
+        cov_pose_wcs=np.full((n, 6, 6), np.nan),
+        cov_next=np.zeros((n, 6, 6)),
+        n_marks=np.arange(n),
+        rms_px=np.full(n, np.nan),
+    )
+
+
 def squares(places: str, seeds: int) -> float:
     """Mean square of all poses in units of their joint covariance."""
     out = []
@@ -146,6 +166,14 @@ def test_places_of_lenses_are_found_by_the_block_if_asked():
     error = found.x.T_rig_lens[1].error_from(true)
     square = error @ np.linalg.solve(found.cov[np.ix_(at, at)], error)
     assert chi2.ppf(0.0005, 6) < square < chi2.ppf(0.9995, 6)
+    sigma = np.sqrt(np.diag(found.cov)[at])
+    assert _places(found) == {
+        "back": {
+            "shift_m": found.x.T_rig_lens[1].shift_m.tolist(),
+            "sigma_shift_m": sigma[:3].tolist(),
+            "sigma_rotation_deg": pytest.approx(sigma[3:] * 180 / np.pi),
+        }
+    }
     # what a calibration says narrows it
     weighted = plain_block(problem)
     assert (np.diag(weighted.cov)[at] < np.diag(found.cov)[at]).all()
@@ -182,6 +210,37 @@ def test_exposures_come_out_as_poses_of_the_front_lens():
     k = found.layout.exposures.index("002.jpg")
     j = found.layout.exposures.index("003.jpg")
     np.testing.assert_array_equal(following, pose_covariance(found)[6 * k : 6 * k + 6, 6 * j : 6 * j + 6])
+
+
+def test_poses_of_lenses_have_the_covariance_of_their_exposures(rng):
+    """A turn of the boat moves a lens by its arm: against differences of an independent formula."""
+    T = (Rigid(R=np.eye(3), shift_m=np.zeros(3)), Rigid(R=exp_rotation([0.1, 2.0, 0.3]), shift_m=[0.3, -0.2, 1.0]))
+    frames = replace(
+        block(3)[0].rig, exposures=("1", "0"), exposure=np.array([1, 0, 0]), T_rig_lens=T, places="fixed"
+    )
+    root = rng.normal(size=(2, 6, 6))
+    poses = replace(
+        image_poses_of(2),
+        centre_wcs_m=rng.normal(size=(2, 3)),
+        R_wcs_ccs=exp_rotation(rng.normal(size=(2, 3))),
+        cov_pose_wcs=root @ np.swapaxes(root, 1, 2),
+        oriented=np.array([True, False]),
+        reasons=("", "lost"),
+    )
+    found = frames.lens_poses(poses, ("b/0", "a/1", "b/1"), np.array([1, 0, 1]))
+    assert found.images == ("b/0", "a/1", "b/1")
+    for k, (row, lens) in enumerate([(0, 1), (1, 0), (1, 1)]):
+        R, C = poses.R_wcs_ccs[row], poses.centre_wcs_m[row]
+        np.testing.assert_allclose(found.centre_wcs_m[k], C + R @ T[lens].shift_m)
+        np.testing.assert_allclose(found.R_wcs_ccs[k], R @ T[lens].R)
+        J = np.eye(6)
+        for a in range(3):
+            J[:3, 3 + a] = (exp_rotation(1e-6 * np.eye(3)[a]) @ R - R) @ T[lens].shift_m / 1e-6
+        np.testing.assert_allclose(found.cov_pose_wcs[k], J @ poses.cov_pose_wcs[row] @ J.T, rtol=1e-4, atol=1e-5)
+        assert (found.t_gps_s[k], found.reasons[k]) == (poses.t_gps_s[row], poses.reasons[row])
+    assert found.oriented.tolist() == [True, False, False]
+    assert np.isnan(found.cov_next).all(axis=(1, 2)).tolist() == [False, True, True]
+    assert not found.cov_next[0].any()
 
 
 def test_an_antenna_holds_the_pose_of_the_rig_once():
