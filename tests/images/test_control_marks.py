@@ -234,13 +234,13 @@ def test_boards_on_which_no_images_agreed_are_looked_for_farther_away(monkeypatc
 @pytest.mark.parametrize("turned", [False, True])
 def test_a_crossing_in_a_window_that_holds_its_template(turned):
     """A board seen askew: its template is wider than high, as is the picture, or both the other way round."""
-    y, x = np.mgrid[:26, :160] + 0.5
+    y, x = np.mgrid[:26, :220] + 0.5
     picture = np.where((x - 90.5) * (y - 13.5) > 0, 220, 30).astype(np.uint8)
     sight = SimpleNamespace(
-        xy=np.array([91.0, 13.0]), by_module=np.diag([20.0, 5.0]), reach_px=3.0, found=[], reason="", score=0.0
+        xy=np.array([91.0, 13.0]), by_module=np.diag([40.0, 5.0]), reach_px=3.0, found=[], reason="", score=0.0
     )
     if turned:
-        picture, sight.xy, sight.by_module = picture.T, sight.xy[::-1], np.diag([5.0, 20.0])
+        picture, sight.xy, sight.by_module = picture.T, sight.xy[::-1], np.diag([5.0, 40.0])
     _correlate(picture, sight, BOARD)
     (score, place, sign) = sight.found[0]
     assert (score, sign, sight.reason) == (sight.score, 1, "")

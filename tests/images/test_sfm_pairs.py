@@ -34,6 +34,8 @@ def test_an_image_without_time_stands_behind_its_name():
     order, notes = order_in_time(NAMES, np.array([np.nan, 5.0, 10.0, 30.0]))
     assert [NAMES[k] for k in order] == ["img_10.jpg", "img_1.jpg", "img_2.jpg", "img_3.jpg"]
     assert notes[0] == "1 images without time, such as img_2.jpg, are placed by their names"
+    order, _ = order_in_time(NAMES, np.array([np.nan, 30.0, 10.0, 5.0]))
+    assert [NAMES[k] for k in order] == ["img_3.jpg", "img_1.jpg", "img_2.jpg", "img_10.jpg"]
     assert order_in_time(NAMES, np.full(4, np.nan))[1] == []
 
 
