@@ -75,6 +75,8 @@ def test_few_pairs_give_an_offset_only_and_none_nothing():
     assert fit.offset_s == 0.5
     assert np.isnan([fit.sigma_offset_s, fit.drift_ppm, fit.sigma_drift_ppm]).all()
     assert fit_clock([np.nan], [1.0]) is None
+    assert np.isnan(fit_clock([5.0] * 5, [5.5] * 5).drift_ppm)
+    assert fit_clock([0.0, *[5.0] * 5], [0.5, *[5.5 + 1e-5] * 5]).drift_ppm == pytest.approx(2.0)
 
 
 def test_times_without_gps_are_placed_beside_their_neighbours():

@@ -31,6 +31,7 @@ from thalweg.panorama import (
     place_rig_files,
     rig_photographs,
 )
+from thalweg.panorama.files import write_panorama
 from thalweg.settings.sections import Colour, Panorama, Rig as RigSettings
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=200.0)
@@ -284,3 +285,20 @@ def test_gaps_of_a_cloud_take_the_nearer_border_and_the_rest_is_far():
     # overhead there is nothing within reach of a gap
     assert np.isinf(filled[2]).all()
     assert (filled <= ranges).all()
+
+
+def test_places_in_all_quarters_of_the_earth_and_below_its_ellipsoid(tmp_path):
+    """EXIF 2.3: letters and three fractions of latitude and longitude, 1 for heights below zero."""
+    picture = np.zeros((8, 16, 3), np.uint8)
+    for llh, north, east, below in (([51.5, 13.25, 200.1234], "N", "E", 0), ([-33.125, -70.75, -3.5], "S", "W", 1)):
+        time = float(gps_from_unix(START.timestamp()))
+        write_panorama(tmp_path / "a.jpg", picture, heading_deg=-90.0, llh=np.array(llh), t_gps_s=time, quality=90)
+        with Image.open(tmp_path / "a.jpg") as file:
+            exif, xmp = file.getexif(), file.info["xmp"].decode()
+        gps = exif.get_ifd(0x8825)
+        assert (gps[1], gps[3], int.from_bytes(gps[5])) == (north, east, below)
+        for tag, value in ((2, llh[0]), (4, llh[1])):
+            assert gps[tag][0] + gps[tag][1] / 60 + gps[tag][2] / 3600 == pytest.approx(abs(value))
+        assert float(gps[6]) == pytest.approx(abs(llh[2]), abs=6e-4)
+        assert exif[0x0132] == "2021:05:12 08:31:00"
+        assert "270.0" in xmp

@@ -1,8 +1,11 @@
 """Interior orientation of the sensor's camera from a marker field: errors against sigmas, what is refused."""
 
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -11,11 +14,17 @@ import pytest
 from scipy.stats import chi2
 
 from thalweg.calibration.field import FieldDescription, parse_field
-from thalweg.core import Camera, GeometryError, LocalFrame
+from thalweg.core import Camera, GeometryError, InputError, LocalFrame
 from thalweg.lightsheet.budget import budget_on_lines, budget_table
 from thalweg.lightsheet.budget.budget import point_budget
 from thalweg.lightsheet.calibration import NAME, calibrate_lens, lens_report, with_lens
-from thalweg.lightsheet.calibration.lens import LARGEST_SIGMA, LensCalibration, predicted
+from thalweg.lightsheet.calibration.lens import (
+    LARGEST_SIGMA,
+    LensCalibration,
+    _require_clockwise,
+    bar_table,
+    predicted,
+)
 from thalweg.lightsheet.optics import LENS, WINDOW, paper_4
 from thalweg_lab.tank.camera_field import build_marker_field, field_text, observe_field, stations
 
@@ -265,3 +274,35 @@ def test_the_limit_is_that_of_the_depth():
     xy = np.stack(np.meshgrid(np.linspace(100, 1900, 10), np.linspace(100, 1900, 10)), axis=-1).reshape(-1, 2)
     depth = point_budget(sensor.with_vector(sensor.vector(), cov=cov), xy).of("focal length")
     assert 0.08 < np.nanmax(depth) < 0.3
+
+
+def test_bars_of_which_one_end_was_not_measured_are_not_told():
+    at = np.array([[0.0, 0, 0], [0.3, 0.4, 0], [9.0, 9, 9]])
+    points = SimpleNamespace(points=((1, 0), (2, 3), (5, 1)), points_pcs=at)
+    scale = SimpleNamespace(used=np.array([True]), off_m=np.array([0.002]), sigma_off_m=np.array([0.001]))
+    bars = [
+        SimpleNamespace(name=f"{start} {end}", start=start, end=end, length_m=0.499)
+        for start, end in (("1/0", "7/0"), ("7/0", "5/1"), ("1/0", "2/3"))
+    ]
+    measured, field = SimpleNamespace(points=points, network=SimpleNamespace(scale=scale)), SimpleNamespace()
+    field.scale_bars = bars
+    (row,) = bar_table(measured, field).to_dict("records")
+    assert row == {
+        "name": "1/0 2/3", "stated_m": 0.499, "residual_mm": pytest.approx(1.0), "off_mm": 2.0, "sigma_off_mm": 1.0,
+        "used": True,
+    }  # fmt: skip
+    scale.used = np.array([True, True])
+    assert bar_table(measured, field).empty
+
+
+@pytest.mark.parametrize(("mirrored", "refused"), [(1, False), (2, True)])
+def test_corners_run_clockwise_in_pictures_however_small_they_are(mirrored, refused):
+    """Three whole sheets of half a pixel; a fourth without a corner does not count."""
+    square = 0.5 * np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
+    rows = [
+        {"image": "a", "marker": k, "corner": c, "x_px": x, "y_px": -y if k < mirrored else y}
+        for k in range(4)
+        for c, (x, y) in enumerate(square)
+    ]
+    with pytest.raises(InputError, match="2 of 3 markers run anticlockwise") if refused else nullcontext():
+        _require_clockwise(pd.DataFrame(rows[:-1]).sample(frac=1, random_state=1), Path("a.csv"))

@@ -1,10 +1,14 @@
 """Tables and JSON report of a calibration."""
 
 import json
+import sys
+from types import SimpleNamespace
 
 import numpy as np
+import pandas as pd
 import pytest
 
+from thalweg.core import GeometryError
 from thalweg.lightsheet.calibration import CalibrationSettings, calibrate_sheet
 from thalweg.lightsheet.calibration.model import LINE, PAIRS
 from thalweg.lightsheet.calibration.report import (
@@ -14,7 +18,10 @@ from thalweg.lightsheet.calibration.report import (
     residual_table,
     strong_correlations,
 )
+from thalweg.lightsheet.calibration.sheet_calibration import Factor, _warnings
 from thalweg.lightsheet.optics import paper_4
+
+search = sys.modules[calibrate_sheet.__module__]
 
 
 @pytest.fixture(scope="module")
@@ -99,3 +106,71 @@ def test_the_report_is_plain_json_and_complete(found):
     for row in report["sigma_of_depth"]:
         # levels known beforehand shrink the gain of the correlations, from 4-10 times to 2.5 and more
         assert row["median_mm"] is None or row["median_uncorrelated_mm"] > 2 * row["median_mm"]
+
+
+def test_pictures_turned_or_mirrored_are_tried_where_the_laser_is_far_from_its_design(monkeypatch):
+    """Pixels and directions of each; refused where one lies nearer to the design and fits as well."""
+    sensor = SimpleNamespace(name="s", camera=SimpleNamespace(size_px=(100, 60)))
+    points = pd.DataFrame({"x_px": [10.0, 20.0], "y_px": [5.0, 50.0], "angle_rad": [0.1, -0.2]})
+    seen, far, misfit = [], {}, {}
+
+    def fitted(_sensor, given, *_):
+        seen.append(given[["x_px", "y_px", "angle_rad"]].to_numpy().T.tolist())
+        return SimpleNamespace(sensor=len(seen), misfit_px=misfit.get(len(seen), 1.0))
+
+    monkeypatch.setattr(search, "fit_sheet", fitted)
+    monkeypatch.setattr(search, "design_sigmas", lambda found, _: far.get(found, 50.0))
+    grid = SimpleNamespace(name="g")
+    assert calibrate_sheet(sensor, points, grid).sensor == 1
+    assert seen == [
+        [[10, 20], [5, 50], [0.1, -0.2]],
+        [[90, 80], [55, 10], [0.1, -0.2]],
+        [[90, 80], [5, 50], [-0.1, 0.2]],
+        [[10, 20], [55, 10], [-0.1, 0.2]],
+    ]
+    for better, words in ((2, "turned by 180 degrees"), (3, "left to right"), (4, "top to bottom")):
+        seen.clear()
+        far.clear()
+        far[better] = 1.0
+        with pytest.raises(GeometryError, match=rf"lies 50 sigmas.*{words}.*1.0 sigmas, with 1.00 instead of 1.00"):
+            calibrate_sheet(sensor, points, grid)
+        seen.clear()
+        misfit[better] = 9.0
+        assert calibrate_sheet(sensor, points, grid).sensor == 1
+    seen.clear()
+    far[1] = 0.5
+    calibrate_sheet(sensor, points, grid)
+    assert len(seen) == 1
+
+
+def test_warnings_of_a_calibration_by_hand(found):
+    """Each beyond its limit, and none at it: 30 mm, 8 degrees, 60 % of pairs, three shared, 1.5 times."""
+    nominal = paper_4()
+    near = SimpleNamespace(lost=(), gaps=(5, 3))
+
+    def told(*, off_mm=29.0, lost=(), pairs=6, shared=3.0, line=1.5, ends=1.5):
+        sheet = nominal.sheet
+        moved = SimpleNamespace(
+            origin_lcs_mm=sheet.origin_lcs_mm + [0.0, off_mm, 0.0], R_lcs_las=sheet.R_lcs_las
+        )
+        factors = {LINE: Factor(of_scatter=line, shared=shared), PAIRS: Factor(of_scatter=ends)}
+        return _warnings(
+            nominal,
+            SimpleNamespace(sheet=moved),
+            SimpleNamespace(lost=lost, gaps=near.gaps),
+            SimpleNamespace(used={PAIRS: np.arange(20) < pairs}),
+            {LINE: 2.5, PAIRS: 3.5},
+            factors,
+        )
+
+    assert told(line=1.5 / np.sqrt(3)) == ()
+    for change, words in (
+        ({"off_mm": 31.0}, "the laser lies 31 mm and 0.0 degrees from"),
+        ({"lost": ("floor", "step")}, "hardly a line point is left on floor, step:"),
+        ({"pairs": 5}, "5 pairs of ends of about 10 that 5 gaps offer"),
+        ({"shared": 3.6}, "about 4 neighbouring line points share one error"),
+        ({"line": 1.6, "shared": 1.0}, "the line points scatter 2.50 times"),
+        ({"ends": 1.6}, "the ends of pieces scatter 3.50 times"),
+    ):
+        (note,) = told(**({"line": 0.8} | change))
+        assert note.startswith(words)
