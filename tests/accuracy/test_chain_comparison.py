@@ -267,9 +267,12 @@ def test_the_mount_of_the_camera_is_no_error_of_its_poses():
 @pytest.mark.parametrize("rig", [[], ["rig.json"]])
 def test_chains_are_judged_with_the_true_and_the_used_mount(rig, monkeypatch, tmp_path):
     """Of the camera, or of the rig where that is the camera."""
-    sigmas = {f"sigma_{name}": 0.0 for name in ("omega_deg", "phi_deg", "kappa_deg")} | {"sigma_lever_m": [0.0] * 3}
+    sigmas = {f"sigma_{name}": 0.0 for name in ("omega_deg", "phi_deg", "kappa_deg")} | {
+        "sigma_lever_m": [0.0] * 3
+    }
     true, of_rig = (
-        {"omega_deg": 90.0, "phi_deg": phi, "kappa_deg": 0.0, "lever_ics_m": [1, 2, 3], **sigmas} for phi in (1, 2)
+        {"omega_deg": 90.0, "phi_deg": phi, "kappa_deg": 0.0, "lever_ics_m": [1, 2, 3], **sigmas}
+        for phi in (1, 2)
     )
     used = Rigid.from_opk([0.1, 0.2, 0.3], [0.4, -0.5, 0.6])
     called: dict = {}

@@ -124,9 +124,7 @@ def test_soundings_to_foretell_and_those_from_which():
     for each, step, thin in ((500, 2, 1), (10, 1, 1), (1000, 3, 2)):
         data = observed([[0.0, 0.0]] * 3 * each, [0.0] * 3 * each, line=np.repeat([4, 7, 9], each))
         test, train = _thinned(data, np.array([9, 4, 7]), np.random.default_rng(0))
-        assert [of.tolist() for of in test] == [
-            list(range(k * each, (k + 1) * each, step)) for k in range(3)
-        ]
+        assert [of.tolist() for of in test] == [list(range(k * each, (k + 1) * each, step)) for k in range(3)]
         assert train.tolist() == list(range(0, 3 * each, thin))
 
 

@@ -18,7 +18,14 @@ from thalweg.bathymetry import (
     speed_of_sound_mps,
     with_bed_normals,
 )
-from thalweg.bathymetry.soundings import SOUNDINGS, _judge_neighbours, _lines, _turning, _velocity, soundings_on_map
+from thalweg.bathymetry.soundings import (
+    SOUNDINGS,
+    _judge_neighbours,
+    _lines,
+    _turning,
+    _velocity,
+    soundings_on_map,
+)
 from thalweg.core import (
     ErrorChain,
     InputError,
@@ -373,9 +380,7 @@ def test_velocity_and_turns_over_two_seconds_by_hand():
     turned = (Rotation.from_euler("z", heading[:, None]) * Rotation.from_quat(DOWN)).as_quat()
     east = 0.1 * (t - t[0]) ** 2
     trajectory = replace(
-        straight(),
-        position_wcs_m=np.column_stack([east, -3.0 * t, 0.5 * t]),
-        quaternion_wcs_ics=turned,
+        straight(), position_wcs_m=np.column_stack([east, -3.0 * t, 0.5 * t]), quaternion_wcs_ics=turned
     )
     at = t[0] + np.array([0.0, 0.5, 4.0])
     expected = np.column_stack([[0.1, 0.15, 0.8], np.full(3, -3.0), np.full(3, 0.5)])

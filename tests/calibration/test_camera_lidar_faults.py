@@ -158,7 +158,12 @@ def test_a_cone_that_leaves_the_adjustment_without_a_solution_is_named(monkeypat
 def test_the_least_likely_displacement_and_of_equals_that_of_the_whole_cone():
     found = [
         camera_lidar.Displacement(
-            cone=cone, position=position, points=9, shift_m=np.zeros(3), tilt_rad=np.zeros(2), cov=np.eye(5),
+            cone=cone,
+            position=position,
+            points=9,
+            shift_m=np.zeros(3),
+            tilt_rad=np.zeros(2),
+            cov=np.eye(5),
             sigmas=sigmas,
         )  # fmt: skip
         for cone, position, sigmas in (("A", "p1", 5.0), ("A", "", 5.0), ("B", "p1", 4.0), ("B", "", 3.0))

@@ -9,7 +9,8 @@ import pytest
 
 from tests.calibration import field_blocks as blocks
 from thalweg.calibration import block_of
-from thalweg.calibration.field import Layout, Problem, marks_model, start_state
+from thalweg.calibration.field import Layout, Problem, bundle, marks_model, start_state
+from thalweg.calibration.field.bundle import State
 from thalweg.calibration.field.network import (
     CameraChange,
     Start,
@@ -428,3 +429,58 @@ def test_five_pictures_of_a_camera_tell_no_change(changed):
     assert [c.since for c in camera_changes(halves, told, layout)] == [
         problem.block.images[i] for i in (3, 9)
     ]
+
+
+def test_pictures_that_fit_badly_are_resected_on_points_that_two_others_know(monkeypatch):
+    """The third picture is off; of its nine marks it takes those of points that both others see well."""
+    seen = [(i, p) for i in range(3) for p in range(9) if (i, p) != (1, 8)]
+    image, point = np.array(seen).T
+    block = Block(
+        images=("a", "b", "c"), camera_of=("slr",) * 3, points=tuple(divmod(p, 4) for p in range(9)), image=image,
+        point=point, xy_px=np.tile(SLR.parameters[2:4], (26, 1)) + image[:, None], sigma_px=np.ones(26),
+        rays=np.empty((0, 3)),
+    )  # fmt: skip
+    problem = Problem(block, np.zeros(3, int), np.ones(26, bool), ((),))
+    x = State((SLR,), np.tile(np.eye(3), (3, 1, 1)), np.zeros((3, 3)), np.arange(27.0).reshape(9, 3))
+    given: list = []
+    angles = np.zeros(8)
+
+    def resected(*words, **more):
+        given[:] = words
+        return PLACE, angles
+
+    monkeypatch.setattr(bundle, "mark_lengths", lambda *_: np.where(image == 2, 100.0, 0.5))
+    monkeypatch.setattr(bundle, "pose_from_rays", resected)
+    found = bundle._reposed(problem, x)
+    assert found is not None
+    places, rays, markers = given
+    np.testing.assert_array_equal(places, x.X[:8])
+    np.testing.assert_allclose(rays, SLR.rays(np.tile(SLR.parameters[2:4] + 2.0, (8, 1))))
+    assert markers.tolist() == [0] * 4 + [1] * 4
+    np.testing.assert_array_equal(found.C, [[0, 0, 0], [0, 0, 0], PLACE.shift_m])
+    np.testing.assert_array_equal(found.R[2], PLACE.R)
+    # a pose that no more than six of ten rays agree with is none
+    angles[:4] = 1.0
+    assert bundle._reposed(problem, x) is None
+    # a point whose place is known takes part, too
+    angles[:4] = 0.0
+    bundle._reposed(replace(problem, control=SimpleNamespace(at=np.array([8]))), x)
+    np.testing.assert_array_equal(given[0], x.X)
+
+
+def test_the_start_of_a_bundle_has_settled(rng):
+    """From poses some centimetres and degrees off, one mark in twenty wrong: once more changes next to nothing."""
+    sheets, _ = blocks.yard(0, cones=2, per_cone=3, flat=12)
+    stations = blocks.stations(0, 12, 7.0)
+    block = block_of(blocks.observe(sheets, stations, SLR, 0, wrong=0.05), {"slr": SLR})
+    off = {
+        i: stations[n].moved(np.r_[0.05, 0.05, 0.05, 0.02, 0.02, 0.02] * rng.normal(size=6))
+        for i, n in enumerate(block.images)
+    }
+    truth = blocks.truth_of(sheets, block.points)
+    problem = Problem(block, np.zeros(12, int), np.ones(len(block.image), bool), ((),))
+    first = bundle.robust_start(
+        problem, start_state(block.images, (SLR,), off, truth + rng.normal(0, 0.02, truth.shape))
+    )
+    again = bundle.robust_start(problem, first)
+    np.testing.assert_allclose(again.C, first.C, atol=1e-4)

@@ -145,7 +145,16 @@ def test_a_row_of_the_report_by_hand(told, sigma_s, ignored, remark):
     """A unit of the stamps of 12 ms scatters by the root of a twelfth; a lag that stays adds to its sigma."""
     record = {"stream": "ins", "format": "ANPP", "time_scale": "gps", "synchronised": True, "jitter_s": 1e-4}
     row = _stream_row(record | told, Speeds(linear_mps=0.4, angular_radps=0.03), 10.0)
-    numbers = ["offset", "sigma_offset", "jitter", "sigma_jitter", "resolution", "lag", "sigma_lag", "sigma_time"]
+    numbers = [
+        "offset",
+        "sigma_offset",
+        "jitter",
+        "sigma_jitter",
+        "resolution",
+        "lag",
+        "sigma_lag",
+        "sigma_time",
+    ]
     expected = [np.nan, np.nan, 1e-4, np.nan]
     expected += [told.get(f"{name}_s", np.nan) for name in ("resolution", "lag", "sigma_lag")]
     assert_allclose([row[f"{name}_s"] for name in numbers], [*expected, sigma_s])

@@ -10,13 +10,7 @@ from tests.bands import band
 from tests.images import block_scene
 from thalweg.core import GeometryError, UnobservableError
 from thalweg.images.bundle import AdjustedBlock
-from thalweg.images.bundle.adjustment import (
-    _flat,
-    adjust_block,
-    adjusted_cameras,
-    control_result,
-    repeated,
-)
+from thalweg.images.bundle.adjustment import _flat, adjust_block, adjusted_cameras, control_result, repeated
 from thalweg.images.bundle.normals import Correlation, linearised, reduced_system, tracks_of, views
 from thalweg.images.bundle.problem import Antenna, Layout, Problem, State, moved, start_state
 from thalweg.images.model import ControlMarks, ControlPoints

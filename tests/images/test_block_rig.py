@@ -214,7 +214,10 @@ def test_exposures_come_out_as_poses_of_the_front_lens():
 
 def test_poses_of_lenses_have_the_covariance_of_their_exposures(rng):
     """A turn of the boat moves a lens by its arm: against differences of an independent formula."""
-    T = (Rigid(R=np.eye(3), shift_m=np.zeros(3)), Rigid(R=exp_rotation([0.1, 2.0, 0.3]), shift_m=[0.3, -0.2, 1.0]))
+    T = (
+        Rigid(R=np.eye(3), shift_m=np.zeros(3)),
+        Rigid(R=exp_rotation([0.1, 2.0, 0.3]), shift_m=[0.3, -0.2, 1.0]),
+    )
     frames = replace(
         block(3)[0].rig, exposures=("1", "0"), exposure=np.array([1, 0, 0]), T_rig_lens=T, places="fixed"
     )
@@ -236,7 +239,9 @@ def test_poses_of_lenses_have_the_covariance_of_their_exposures(rng):
         J = np.eye(6)
         for a in range(3):
             J[:3, 3 + a] = (exp_rotation(1e-6 * np.eye(3)[a]) @ R - R) @ T[lens].shift_m / 1e-6
-        np.testing.assert_allclose(found.cov_pose_wcs[k], J @ poses.cov_pose_wcs[row] @ J.T, rtol=1e-4, atol=1e-5)
+        np.testing.assert_allclose(
+            found.cov_pose_wcs[k], J @ poses.cov_pose_wcs[row] @ J.T, rtol=1e-4, atol=1e-5
+        )
         assert (found.t_gps_s[k], found.reasons[k]) == (poses.t_gps_s[row], poses.reasons[row])
     assert found.oriented.tolist() == [True, False, False]
     assert np.isnan(found.cov_next).all(axis=(1, 2)).tolist() == [False, True, True]

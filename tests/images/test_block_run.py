@@ -357,7 +357,10 @@ def test_measured_positions_of_cameras_belong_to_their_images():
     assert antenna.position_wcs_m.tolist() == [[6, 7, 8], [3, 4, 5]]
     assert antenna.sigma_m.tolist() == [[0.1, 1.1, 0.1], [1.1, 0.1, 0.1]]
     assert not antenna.lever_ccs_m.any()
-    for images, words in ((("x", "y"), "x and 1 more images that do not"), (("x", "c"), "of x, which does not")):
+    for images, words in (
+        (("x", "y"), "x and 1 more images that do not"),
+        (("x", "c"), "of x, which does not"),
+    ):
         with pytest.raises(InputError, match=words):
             job._measured_centres(names, replace(centres, images=images), names)
 

@@ -96,7 +96,9 @@ def test_one_wrong_ray_does_not_move_the_point():
 def test_cameras_agree_within_a_share_of_their_extent(monkeypatch, extent_m, tolerance_m):
     """3 % of the diagonal, at least 2 m."""
     given = []
-    monkeypatch.setattr("thalweg.images.model.block.robust_similarity", lambda *words, **more: given.append((words, more)))
+    monkeypatch.setattr(
+        "thalweg.images.model.block.robust_similarity", lambda *words, **more: given.append((words, more))
+    )
     block = SimpleNamespace(centre_block_m=np.arange(9.0).reshape(3, 3), images=("a", "b", "c"))
     places = extent_m * np.array([[0.0, 0.6, 0.0], [0.8, 0.0, 0.0]])
     start_from_positions(block, np.array([2, 0]), places)

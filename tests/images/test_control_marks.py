@@ -205,7 +205,9 @@ def test_boards_on_which_no_images_agreed_are_looked_for_farther_away(monkeypatc
     """And the others where the images see them, in the block as the points have moved it."""
     control_module, seen = sys.modules[measure_boards.__module__], {}
     block, given, sights = block_of(), survey(PLACES[:2]), []
-    shifted = Similarity(scale=1.0, R=np.eye(3), shift_m=np.eye(3)[0], misfit_m=np.zeros(2), fits=np.ones(2, bool))
+    shifted = Similarity(
+        scale=1.0, R=np.eye(3), shift_m=np.eye(3)[0], misfit_m=np.zeros(2), fits=np.ones(2, bool)
+    )
 
     def sought(of, control, boards, reach_m, mask, place=None):
         sights[:] = [SimpleNamespace(point=k, reach_px=1.0) for k in (0, 1)]
@@ -237,7 +239,12 @@ def test_a_crossing_in_a_window_that_holds_its_template(turned):
     y, x = np.mgrid[:26, :220] + 0.5
     picture = np.where((x - 90.5) * (y - 13.5) > 0, 220, 30).astype(np.uint8)
     sight = SimpleNamespace(
-        xy=np.array([91.0, 13.0]), by_module=np.diag([40.0, 5.0]), reach_px=3.0, found=[], reason="", score=0.0
+        xy=np.array([91.0, 13.0]),
+        by_module=np.diag([40.0, 5.0]),
+        reach_px=3.0,
+        found=[],
+        reason="",
+        score=0.0,
     )
     if turned:
         picture, sight.xy, sight.by_module = picture.T, sight.xy[::-1], np.diag([5.0, 40.0])

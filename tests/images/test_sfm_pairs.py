@@ -92,7 +92,12 @@ def test_equal_times_follow_the_names():
 
 
 def test_names_of_cameras_are_their_own():
-    start = StartCamera(camera=Camera(model="perspective", size_px=(9, 9), parameters=np.ones(9), name="given"), lens="", known=True, source="")
+    start = StartCamera(
+        camera=Camera(model="perspective", size_px=(9, 9), parameters=np.ones(9), name="given"),
+        lens="",
+        known=True,
+        source="",
+    )
     groups = [SimpleNamespace(name="GoPro"), SimpleNamespace(name="phone")]
     for of, taken, given, name in (
         (groups, [], True, "phone"),

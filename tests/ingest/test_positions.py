@@ -113,7 +113,11 @@ def test_a_track_in_gpx(tmp_path):
         assert table["n_sats"].tolist() == [9, -1]
         assert report.losses == {"track_points_without_time": 1}
         assert report.notes == [
-            *([] if more else ["Heights of GPX are above the geoid, and the file does not say how high that is."]),
+            *(
+                []
+                if more
+                else ["Heights of GPX are above the geoid, and the file does not say how high that is."]
+            ),
             "GPX states no standard deviations: orientation.sigma_position_m says them.",
             "Only tracks are read, not the 1 waypoints.",
         ]

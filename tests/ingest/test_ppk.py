@@ -147,7 +147,9 @@ def test_fixes_are_judged_by_a_solution_without_them(monkeypatch, fix, again):
 
     def solve(_folder, _inputs, options, *, single, **_):
         asked.append((options.ambiguity, single))
-        table = pd.DataFrame({"fix": fix if options.ambiguity != "off" else ("float", "float"), "h_ell_m": 1.0})
+        table = pd.DataFrame(
+            {"fix": fix if options.ambiguity != "off" else ("float", "float"), "h_ell_m": 1.0}
+        )
         return SimpleNamespace(positions=table, residuals=None, answer=None)
 
     def trusted(positions, floats, *_, **__):

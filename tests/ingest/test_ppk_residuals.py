@@ -52,7 +52,9 @@ def test_phase_factor_of_a_single_value_to_spare():
     """Of 4 satellites nothing is left beside mean and place; a fifth of one epoch, 5 mm off, leaves 20 mm2."""
     n = np.full(30, 4)
     n[7] = 5
-    table = pd.DataFrame({"t_gps_s": np.repeat(np.arange(30.0), n), "group": "G1", "weight": 0.25, "fixed": True})
+    table = pd.DataFrame(
+        {"t_gps_s": np.repeat(np.arange(30.0), n), "group": "G1", "weight": 0.25, "fixed": True}
+    )
     table["phase_m"] = 0.0
     table.loc[32, "phase_m"] = 0.005
     assert table["t_gps_s"][32] == 7.0

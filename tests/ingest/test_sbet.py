@@ -127,7 +127,9 @@ def test_times_of_the_first_day_of_a_week_may_be_those_of_any_day(tmp_path, last
     log = read_sbet([write(tmp_path / "a.out", first)], WEEK)
     assert any("do they count the day" in note for note in log.report.notes) == asked
     first[:, 0] += gps_from_week(WEEK, 0.0)
-    assert not any("do they" in note for note in read_sbet([write(tmp_path / "b.out", first)], None).report.notes)
+    assert not any(
+        "do they" in note for note in read_sbet([write(tmp_path / "b.out", first)], None).report.notes
+    )
 
 
 def test_utc_seconds(tmp_path):

@@ -290,9 +290,14 @@ def test_gaps_of_a_cloud_take_the_nearer_border_and_the_rest_is_far():
 def test_places_in_all_quarters_of_the_earth_and_below_its_ellipsoid(tmp_path):
     """EXIF 2.3: letters and three fractions of latitude and longitude, 1 for heights below zero."""
     picture = np.zeros((8, 16, 3), np.uint8)
-    for llh, north, east, below in (([51.5, 13.25, 200.1234], "N", "E", 0), ([-33.125, -70.75, -3.5], "S", "W", 1)):
+    for llh, north, east, below in (
+        ([51.5, 13.25, 200.1234], "N", "E", 0),
+        ([-33.125, -70.75, -3.5], "S", "W", 1),
+    ):
         time = float(gps_from_unix(START.timestamp()))
-        write_panorama(tmp_path / "a.jpg", picture, heading_deg=-90.0, llh=np.array(llh), t_gps_s=time, quality=90)
+        write_panorama(
+            tmp_path / "a.jpg", picture, heading_deg=-90.0, llh=np.array(llh), t_gps_s=time, quality=90
+        )
         with Image.open(tmp_path / "a.jpg") as file:
             exif, xmp = file.getexif(), file.info["xmp"].decode()
         gps = exif.get_ifd(0x8825)

@@ -132,7 +132,9 @@ def test_pictures_turned_or_mirrored_are_tried_where_the_laser_is_far_from_its_d
         seen.clear()
         far.clear()
         far[better] = 1.0
-        with pytest.raises(GeometryError, match=rf"lies 50 sigmas.*{words}.*1.0 sigmas, with 1.00 instead of 1.00"):
+        with pytest.raises(
+            GeometryError, match=rf"lies 50 sigmas.*{words}.*1.0 sigmas, with 1.00 instead of 1.00"
+        ):
             calibrate_sheet(sensor, points, grid)
         seen.clear()
         misfit[better] = 9.0

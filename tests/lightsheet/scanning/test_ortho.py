@@ -9,13 +9,7 @@ from thalweg.lightsheet.lines import detect_lines
 from thalweg.lightsheet.optics import paper_4
 from thalweg.lightsheet.poses import SensorPoses
 from thalweg.lightsheet.scanning import merge, orthophoto, profile
-from thalweg.lightsheet.scanning.ortho import (
-    HeightGrid,
-    Orthophoto,
-    colours,
-    height_grid,
-    write_orthophoto,
-)
+from thalweg.lightsheet.scanning.ortho import HeightGrid, Orthophoto, colours, height_grid, write_orthophoto
 from thalweg_lab.random_numbers import generator
 from thalweg_lab.settings import SheetImage
 from thalweg_lab.tank import render_sheet_image, sized
