@@ -194,7 +194,7 @@ def test_spread_that_depends_on_the_place_is_found_where_sigmas_do_not_say_it(rn
 
 
 def test_the_spread_of_cells_of_uneven_size_by_hand():
-    """Values m +- d in cells of 30, 40 and 70: each deviates by d / sqrt(1 - 1/n); one-way components of those."""
+    """Values m +- d in cells of 30, 40 and 70 deviate by d / sqrt(1 - 1/n): one-way components of those."""
     n, d = np.array([30, 40, 70]), np.array([0.01, 0.02, 0.04])
     cell = np.repeat(np.arange(3), n)
     places = np.column_stack([10.0 * cell + 0.5, np.full(140, 0.5), np.full(140, 0.5)])

@@ -281,7 +281,7 @@ def test_chains_are_judged_with_the_true_and_the_used_mount(rig, monkeypatch, tm
         called.update(how, chains=chains, truth=truth)
         return pd.DataFrame({"a": [1 / 3]})
 
-    for name, value in {
+    for name, does in {
         "read_mounts": lambda path: path,
         "read_calibration": lambda path: path,
         "lidar_mount_by_camera": lambda *words: called.update(mounts=words) or (None, used, None),
@@ -290,7 +290,7 @@ def test_chains_are_judged_with_the_true_and_the_used_mount(rig, monkeypatch, tm
         "longest_correlation_s": lambda *words: words,
         "chains_truth_table": table,
     }.items():
-        monkeypatch.setattr(solutions, name, value)
+        monkeypatch.setattr(solutions, name, does)
     monkeypatch.setattr(Trajectory, "read", lambda path: path)
     judge_chains(
         trajectories=["i", "c"], voyage="v", true_mounts="t", mounts="m", boat=["b"], rig=rig,

@@ -535,10 +535,8 @@ def test_the_line_that_contradicts_others_is_named():
     (told,) = facts["pairs of lines"]
     assert (told["a"], told["b"]) == ("line 0", f"line {len(across)}")
     assert told["difference_m"] == pytest.approx(0.5, abs=0.05)
-    assert notes[0] == (
-        f"line {len(across)} lies {told['difference_m']:.3f} m above line 0 (median of {told['n']} crossings, "
-        f"sigma {told['sigma_m']:.3f} m)"
-    )
+    beside = f"(median of {told['n']} crossings, sigma {told['sigma_m']:.3f} m)"
+    assert notes[0] == f"line {len(across)} lies {told['difference_m']:.3f} m above line 0 {beside}"
     assert len(left) == len(last)
 
 

@@ -374,7 +374,7 @@ def test_a_boat_that_turns_too_fast_takes_no_soundings():
 
 
 def test_velocity_and_turns_over_two_seconds_by_hand():
-    """East grows by 0.1 t2: between a and b by 0.1 (a + b) a second; the heading by 2 t2 degrees, past south."""
+    """East grows by 0.1 t2: from a to b by 0.1 (a + b) a second; the heading by 2 t2 degrees, past south."""
     t = straight().t_gps_s
     heading = np.deg2rad(170.0 + 2.0 * (t - t[0]) ** 2)
     turned = (Rotation.from_euler("z", heading[:, None]) * Rotation.from_quat(DOWN)).as_quat()

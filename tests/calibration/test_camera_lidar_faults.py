@@ -165,7 +165,7 @@ def test_the_least_likely_displacement_and_of_equals_that_of_the_whole_cone():
             tilt_rad=np.zeros(2),
             cov=np.eye(5),
             sigmas=sigmas,
-        )  # fmt: skip
+        )
         for cone, position, sigmas in (("A", "p1", 5.0), ("A", "", 5.0), ("B", "p1", 4.0), ("B", "", 3.0))
     ]
     assert camera_lidar.worst(found, 4.5) is found[1]

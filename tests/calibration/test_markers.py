@@ -127,7 +127,7 @@ def test_saddles_are_where_they_were_drawn(module_px, limit_px, least):
 
 @pytest.mark.parametrize(("noise", "rest"), [(0.0, 0.0), (10.0, 0.3), (20.0, 0.3)])
 def test_sigmas_of_crossings_are_their_scatter(noise, rest):
-    """Blurred crossings with white noise, fitted 400 times: half of the formal sigma, and a floor of 0.025 px.
+    """Blurred crossings with white noise, fitted 400 times: half the formal sigma, and a floor of 0.025 px.
 
     Half, for windows of photographs hold more than noise; the scatter of 400 places is known to 4 %.
     """

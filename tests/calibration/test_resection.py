@@ -120,7 +120,7 @@ def test_a_misfit_by_hand():
     """Two marks, off by (3, 4) px with a sigma of 5 and by (0, 6) with 2: root of (1 + 9) / 2 / 2."""
     X = np.array([[4.0, 0.5, 1.0], [4.0, -0.5, 1.2]])
     pose = blocks.look(np.array([0.0, 0.1, 1.0]), np.array([4.0, 1.0, 1.0]))
-    xy = SLR.project((X - pose.shift_m) @ pose.R) + [[3.0, 4.0], [0.0, 6.0]]
+    xy = SLR.project((X - pose.shift_m) @ pose.R) + np.array([[3.0, 4.0], [0.0, 6.0]])
     assert _misfit(SLR, pose, X, xy, np.array([5.0, 2.0])) == pytest.approx(np.sqrt(2.5))
 
 

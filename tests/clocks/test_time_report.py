@@ -100,13 +100,6 @@ def test_every_stream_says_who_stamps_it_and_what_that_costs(tmp_path):
         assert "pulse per second" in row.loc["lidar", "stamped_by"]
         assert row.loc["depth", "stamped_by"] == "the logging computer"
         assert not row.loc["depth", "synchronised"]
-        # a lag that is significant is not corrected: it and its sigma stay
-        assert row.loc["positions", "sigma_time_s"] == pytest.approx(np.hypot(0.040, 0.003), rel=1e-3)
-        assert row.loc["positions", "cost_if_ignored_mm"] == pytest.approx(speeds.cost_mm(0.040, 25.0))
-        # nothing was checked: the unit of the stamps is no accuracy
-        assert np.isnan(row.loc["lidar", ["sigma_time_s", "cost_mm"]].astype(float)).all()
-        assert row.loc["lidar", "resolution_s"] == 1e-6
-        assert "not measured" in row.loc["lidar", "remark"]
         # jitter, offset, and drift over 200 s
         sigma = np.sqrt(0.023**2 + 0.0016**2 + (1e-5 * 200) ** 2)
         assert row.loc["camera", "sigma_time_s"] == pytest.approx(sigma)

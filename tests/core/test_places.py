@@ -7,7 +7,6 @@ from pyproj import CRS, Transformer
 
 from thalweg.core import GeometryError, InputError, LocalFrame
 from thalweg.core.values import (
-    places,
     FOOT,
     METRE,
     US_SURVEY_FOOT,
@@ -15,6 +14,7 @@ from thalweg.core.values import (
     check_places,
     in_words,
     near_world,
+    places,
     unit_of_code,
     unit_of_letter,
     unit_of_word,

@@ -349,7 +349,7 @@ def test_a_check_point_is_suspect_beyond_three_degrees_of_freedom():
 
 
 def test_points_whose_rays_are_next_to_parallel_are_flat():
-    """Two and three cameras 10 m away, rays 0.9 and 1.1 degrees apart, of which 1 is wanted; one without marks."""
+    """Two or three cameras, rays 0.9 and 1.1 degrees apart, where 1 is wanted; one without marks."""
     degrees = np.array([-0.45, 0.45, -0.55, 0.55])
     C = 10.0 * np.column_stack([np.sin(np.radians(degrees)), np.cos(np.radians(degrees)), np.zeros(4)])
     block = SimpleNamespace(

@@ -202,7 +202,7 @@ def test_what_the_images_pull_away_from_a_calibration_by_hand(monkeypatch):
     name = own.parameter_names[2]
     assert interior_notes(found, own) == [
         "place",
-        f"The images pull {name} 5.0 sigmas away from the calibration of SLR (-10): is it that of this camera, "
-        "focus and zoom?",
+        f"The images pull {name} 5.0 sigmas away from the calibration of SLR (-10): is it that of this "
+        "camera, focus and zoom?",
     ]
     assert interior_notes(found, None) == ["place"]

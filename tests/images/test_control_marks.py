@@ -228,7 +228,7 @@ def test_boards_on_which_no_images_agreed_are_looked_for_farther_away(monkeypatc
     placed, _, found, _ = measure_boards(block, given, BOARD, {}.get, lambda name: None)
     assert [sight.reach_px for sight in found] == pytest.approx([100 * 0.3 * 0.3, 1.0])
     assert seen[0.3][0] is block
-    np.testing.assert_allclose(placed.centre_block_m, block.centre_block_m + [1.0, 0.0, 0.0])
+    np.testing.assert_allclose(placed.centre_block_m, block.centre_block_m + np.eye(3)[0])
     assert seen[0.0][0] is placed
     np.testing.assert_allclose(seen[0.0][1], [PLACES[0], [6.0, 5.0, 5.0]])
 

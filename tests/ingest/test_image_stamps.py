@@ -217,9 +217,6 @@ def test_a_table_of_times(tmp_path):
     found = read_image_stamps(list_images(tmp_path), times=tmp_path / "times.csv")
     assert_allclose(found.table["t_device_s"][:2], [T0 + 0.125, T0 + 1.5], atol=3e-7)
     assert found.report.losses == {"table_rows_without_image": 1, "images_without_time": 1}
-    (tmp_path / "gps.csv").write_text(f"file;t_gps_s\na.jpg;{T0 + 0.5}\n")
-    stamp = read_time_table(tmp_path / "gps.csv")["a.jpg"]
-    assert stamp.shown_s == pytest.approx(UNIX + 0.5, abs=3e-7)
 
 
 @pytest.mark.parametrize(

@@ -49,7 +49,7 @@ def test_phase_factor_needs_thirty_fixed_epochs():
 
 
 def test_phase_factor_of_a_single_value_to_spare():
-    """Of 4 satellites nothing is left beside mean and place; a fifth of one epoch, 5 mm off, leaves 20 mm2."""
+    """Of 4 satellites nothing is left beside mean and place; a fifth, 5 mm off, leaves 20 mm2."""
     n = np.full(30, 4)
     n[7] = 5
     table = pd.DataFrame(

@@ -14,6 +14,7 @@ from thalweg.surface import Area
 from thalweg_lab.changes import Patch
 from thalweg_lab.river import BOX_FACES, Material, MeshParts, Scene, boxes
 from thalweg_lab.truth import (
+    change,
     judge_differences,
     judge_places,
     judge_polygons,
@@ -23,7 +24,6 @@ from thalweg_lab.truth import (
     true_polygons,
     true_volumes,
 )
-from thalweg_lab.truth import change
 from thalweg_lab.truth.change import POINTS, simulate_change
 
 SQUARE = np.array([[-8.0, -8.0], [8.0, -8.0], [8.0, 8.0], [-8.0, 8.0]])

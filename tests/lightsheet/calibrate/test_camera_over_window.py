@@ -95,8 +95,9 @@ def test_exact_marks_give_the_pose(truth):
 def test_the_facts_of_a_pose_are_in_millimetres_and_degrees():
     found = CameraOverWindow(
         origin_lcs_mm=np.array([1.0, 2.0, 3.0]), angles_rad=np.pi * np.array([0.5, 0.25, 1.0]),
-        cov=np.diag([4.0, 9.0, 16.0, *(np.pi * np.array([0.1, 0.2, 0.3])) ** 2]), cov_with_lens=np.zeros((6, 0)),
-        by_glass=np.zeros(6), R_lcs_pcs=np.eye(3), shift_lcs_mm=np.zeros(3), flatness_mm=0.02, resected=None,
+        cov=np.diag([4.0, 9.0, 16.0, *(np.pi * np.array([0.1, 0.2, 0.3])) ** 2]),
+        flatness_mm=0.02,
+        **dict.fromkeys(["cov_with_lens", "by_glass", "R_lcs_pcs", "shift_lcs_mm", "resected"]),
     )  # fmt: skip
     facts = found.facts()
     assert list(facts["camera"]) == ["x_mm", "y_mm", "z_mm", "omega_deg", "phi_deg", "kappa_deg"]

@@ -1,10 +1,8 @@
 """Interior orientation of the sensor's camera from a marker field: errors against sigmas, what is refused."""
 
 from collections.abc import Callable
-from contextlib import nullcontext
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -14,17 +12,11 @@ import pytest
 from scipy.stats import chi2
 
 from thalweg.calibration.field import FieldDescription, parse_field
-from thalweg.core import Camera, GeometryError, InputError, LocalFrame
+from thalweg.core import Camera, GeometryError, LocalFrame
 from thalweg.lightsheet.budget import budget_on_lines, budget_table
 from thalweg.lightsheet.budget.budget import point_budget
 from thalweg.lightsheet.calibration import NAME, calibrate_lens, lens_report, with_lens
-from thalweg.lightsheet.calibration.lens import (
-    LARGEST_SIGMA,
-    LensCalibration,
-    _require_clockwise,
-    bar_table,
-    predicted,
-)
+from thalweg.lightsheet.calibration.lens import LARGEST_SIGMA, LensCalibration, bar_table, predicted
 from thalweg.lightsheet.optics import LENS, WINDOW, paper_4
 from thalweg_lab.tank.camera_field import build_marker_field, field_text, observe_field, stations
 
@@ -288,21 +280,8 @@ def test_bars_of_which_one_end_was_not_measured_are_not_told():
     field.scale_bars = bars
     (row,) = bar_table(measured, field).to_dict("records")
     assert row == {
-        "name": "1/0 2/3", "stated_m": 0.499, "residual_mm": pytest.approx(1.0), "off_mm": 2.0, "sigma_off_mm": 1.0,
-        "used": True,
+        "name": "1/0 2/3", "stated_m": 0.499, "residual_mm": pytest.approx(1.0), "off_mm": 2.0,
+        "sigma_off_mm": 1.0, "used": True,
     }  # fmt: skip
     scale.used = np.array([True, True])
     assert bar_table(measured, field).empty
-
-
-@pytest.mark.parametrize(("mirrored", "refused"), [(1, False), (2, True)])
-def test_corners_run_clockwise_in_pictures_however_small_they_are(mirrored, refused):
-    """Three whole sheets of half a pixel; a fourth without a corner does not count."""
-    square = 0.5 * np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
-    rows = [
-        {"image": "a", "marker": k, "corner": c, "x_px": x, "y_px": -y if k < mirrored else y}
-        for k in range(4)
-        for c, (x, y) in enumerate(square)
-    ]
-    with pytest.raises(InputError, match="2 of 3 markers run anticlockwise") if refused else nullcontext():
-        _require_clockwise(pd.DataFrame(rows[:-1]).sample(frac=1, random_state=1), Path("a.csv"))

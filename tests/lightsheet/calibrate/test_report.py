@@ -153,7 +153,7 @@ def test_warnings_of_a_calibration_by_hand(found):
     def told(*, off_mm=29.0, lost=(), pairs=6, shared=3.0, line=1.5, ends=1.5):
         sheet = nominal.sheet
         moved = SimpleNamespace(
-            origin_lcs_mm=sheet.origin_lcs_mm + [0.0, off_mm, 0.0], R_lcs_las=sheet.R_lcs_las
+            origin_lcs_mm=sheet.origin_lcs_mm + off_mm * np.eye(3)[1], R_lcs_las=sheet.R_lcs_las
         )
         factors = {LINE: Factor(of_scatter=line, shared=shared), PAIRS: Factor(of_scatter=ends)}
         return _warnings(
