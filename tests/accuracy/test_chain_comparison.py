@@ -30,8 +30,8 @@ from thalweg.accuracy import (
 from thalweg.accuracy.solutions import PUBLISHED, TIE
 from thalweg.budgets import read_budget, totals_mm
 from thalweg.core import CoverageError, InputError, Rigid, Trajectory
-from thalweg_lab.truth import OWN_TIMES, carried_by_camera, chains_truth_table, solutions
-from thalweg_lab.truth.solutions import COMMON_TIMES, judge_chains, pose_errors
+from thalweg_lab.truth import OWN_TIMES, carried_by_camera, chains_truth_table
+from thalweg_lab.truth.solutions import COMMON_TIMES, pose_errors
 
 
 def chains_by_range(chains, *published):
@@ -262,47 +262,6 @@ def test_the_mount_of_the_camera_is_no_error_of_its_poses():
     assert np.abs(plain[:, :3]).max() > 0.01
     carried, _ = pose_errors(by_camera, truth, every, carried_by_camera(true, used))
     assert np.abs(carried).max() < 1e-9
-
-
-@pytest.mark.parametrize("rig", [[], ["rig.json"]])
-def test_chains_are_judged_with_the_true_and_the_used_mount(rig, monkeypatch, tmp_path):
-    """Of the camera, or of the rig where that is the camera."""
-    sigmas = {f"sigma_{name}": 0.0 for name in ("omega_deg", "phi_deg", "kappa_deg")} | {
-        "sigma_lever_m": [0.0] * 3
-    }
-    true, of_rig = (
-        {"omega_deg": 90.0, "phi_deg": phi, "kappa_deg": 0.0, "lever_ics_m": [1, 2, 3], **sigmas}
-        for phi in (1, 2)
-    )
-    used = Rigid.from_opk([0.1, 0.2, 0.3], [0.4, -0.5, 0.6])
-    called: dict = {}
-
-    def table(chains, truth, **how):
-        called.update(how, chains=chains, truth=truth)
-        return pd.DataFrame({"a": [1 / 3]})
-
-    for name, does in {
-        "read_mounts": lambda path: path,
-        "read_calibration": lambda path: path,
-        "lidar_mount_by_camera": lambda *words: called.update(mounts=words) or (None, used, None),
-        "read_true_mounts": lambda _: {"camera": true},
-        "read_marked": lambda *_, **__: of_rig,
-        "longest_correlation_s": lambda *words: words,
-        "chains_truth_table": table,
-    }.items():
-        monkeypatch.setattr(solutions, name, does)
-    monkeypatch.setattr(Trajectory, "read", lambda path: path)
-    judge_chains(
-        trajectories=["i", "c"], voyage="v", true_mounts="t", mounts="m", boat=["b"], rig=rig,
-        table=tmp_path / "t.csv", twin={"ins": 1}, position_source="ppk",
-    )  # fmt: skip
-    assert called["mounts"] == ("m", "b")
-    assert (called["chains"], called["truth"]) == ({"ins": "i", "camera": "c"}, "v")
-    assert called["correlation_s"] == ({"ins": 1}, "ppk")
-    expected = Rigid.from_mount(of_rig if rig else true).matrix @ np.linalg.inv(used.matrix)
-    assert list(called["carried"]) == ["camera"]
-    np.testing.assert_allclose(called["carried"]["camera"].matrix, expected, atol=1e-12)
-    assert (tmp_path / "t.csv").read_text() == "a\n0.333333333\n"
 
 
 def test_poses_outside_the_truth_are_refused():

@@ -189,8 +189,6 @@ def test_what_is_to_be_estimated_of_a_lens():
     assert list(found) == ["focal", names[3], names[5]]
     np.testing.assert_allclose(found["focal"], np.r_[0.975, 1.025, np.zeros(7)])
     np.testing.assert_array_equal([found[names[3]], found[names[5]]], np.eye(9)[[3, 5]])
-    with pytest.raises(InputError, match="'zoom' to be estimated"):
-        free_of_lens(camera, ["zoom"])
 
 
 def test_check_points_take_no_part():

@@ -303,32 +303,38 @@ def test_an_antenna_is_refused_beyond_one_in_a_million(times, refused):
 
 def test_points_of_a_pass_are_thinned_and_counted_by_hand():
     """Two cones: of six used points of the first three stay; the second has none in use."""
+
+    def marked(text):
+        return np.array(list(text)) == "x"
+
     of = SimpleNamespace(
-        cone=np.array([0, 0, 0, 0, 0, 0, 0, 1, 1, 1]),
+        cone=np.repeat([0, 1], [7, 3]),
         near=np.array([9, 4]),
         rows=[{"pass": 4}],
         known=SimpleNamespace(field=SimpleNamespace(names=("A", "B"))),
         settings=SimpleNamespace(max_points_per_cone=3),
         selection=SimpleNamespace(
-            used=np.array([1, 1, 1, 1, 1, 1, 0, 0, 0, 0], bool),
-            far=np.array([0, 0, 0, 0, 0, 0, 1, 1, 0, 0], bool),
-            ends=np.array([0, 0, 0, 0, 0, 0, 0, 0, 1, 0], bool),
-            grazing=np.array([0, 0, 0, 0, 0, 0, 0, 0, 0, 1], bool),
+            used=marked("xxxxxx----"),
+            far=marked("------xx--"),
+            ends=marked("--------x-"),
+            grazing=marked("---------x"),
         ),
     )
     _Run._thin(of)
     assert np.flatnonzero(of.selection.used).tolist() == [0, 2, 5]
-    distance = np.array([0.003, 9, 0.004, 9, 9, np.nan, 9, 9, 9, 9])
+    distance = np.full(10, 9.0)
+    distance[[0, 2, 5]] = 0.003, 0.004, np.nan
     _Run._count(of, 0.02, SimpleNamespace(distance_m=distance))
     counts = ("near", "taken", "used", "far_from_surface", "beyond_ends", "grazing", "thinned")
-    first, second = of.rows[1:]
     assert [[row[name] for name in counts] for row in of.rows[1:]] == [
         [9, 7, 3, 1, 0, 0, 3],
         [4, 3, 0, 1, 1, 1, 0],
     ]
-    assert (first["pass"], first["cone"], first["layer_mm"]) == (5, "A", 20.0)
-    assert first["rms_mm"] == pytest.approx(np.sqrt(12.5))
-    assert np.isnan(second["rms_mm"])
+    assert [(row["pass"], row["cone"], row["layer_mm"]) for row in of.rows[1:]] == [
+        (5, "A", 20.0),
+        (5, "B", 20.0),
+    ]
+    assert [row["rms_mm"] for row in of.rows[1:]] == pytest.approx([np.sqrt(12.5), np.nan], nan_ok=True)
 
 
 def test_the_sigma_of_the_stamps_reaches_the_adjustment():

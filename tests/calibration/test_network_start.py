@@ -26,7 +26,6 @@ from thalweg.calibration.field.network import (
     camera_changes,
     distances_words,
     require_steady,
-    similarity,
 )
 from thalweg.calibration.markers import Block
 from thalweg.core import GeometryError, Rigid, exp_rotation, rotation_opk
@@ -233,35 +232,6 @@ def test_too_little_repairs_no_pose(kept):
 TARGETS = np.array([[0.0, 0, 0], [10, 0, 1], [12, 8, 0], [-1, 9, 2], [5, 4, 0.5], [3, 12, 1]])
 
 
-def test_a_similarity_by_hand():
-    factor, T = similarity(TARGETS, PLACE.apply(1.25 * TARGETS), scaled=True)
-    assert factor == pytest.approx(1.25)
-    np.testing.assert_allclose(T.matrix, PLACE.matrix, atol=1e-9)
-    factor, T = similarity(TARGETS, PLACE.apply(1.25 * TARGETS), scaled=False)
-    assert factor == 1.0
-    np.testing.assert_allclose(T.R, PLACE.R, atol=1e-9)
-
-
-@pytest.mark.parametrize("scaled", [True, False])
-def test_the_place_of_most_targets(scaled):
-    """Two of six lie elsewhere; the field is 1.2 times too small, and the factor is asked for or not."""
-    there = PLACE.apply(1.2 * TARGETS)
-    there[1] += [30.0, 0.0, 0.0]
-    there[4] += [0.0, -40.0, 5.0]
-    found = approximate_place(TARGETS, there, scaled=scaled)
-    assert found is not None
-    good = [0, 2, 3, 5]
-    if scaled:
-        assert found[0] == pytest.approx(1.2)
-        np.testing.assert_allclose(found[1].matrix, PLACE.matrix, atol=1e-9)
-    else:
-        assert found[0] == 1.0
-        # turned right, and the middle of the four upon theirs
-        np.testing.assert_allclose(found[1].R, PLACE.R, atol=1e-9)
-        middle = found[1].apply(TARGETS[good].mean(axis=0)[None])[0]
-        np.testing.assert_allclose(middle, there[good].mean(axis=0), atol=1e-9)
-
-
 @pytest.mark.parametrize(("off", "kept"), [(0.1, True), (0.5, False)])
 def test_a_target_agrees_within_a_share_of_the_size(off, kept):
     """15 % of the root mean square distance from the middle, of fields of any size; four fit exactly."""
@@ -279,10 +249,6 @@ def test_a_target_agrees_within_a_share_of_the_size(off, kept):
 def test_a_place_of_another_size_is_none(factor, there):
     found = approximate_place(TARGETS, PLACE.apply(factor * TARGETS), scaled=True)
     assert (found is not None) == there
-
-
-def test_targets_that_belong_to_nothing_have_no_place(rng):
-    assert approximate_place(TARGETS, 10 * rng.standard_normal((6, 3)), scaled=True) is None
 
 
 def test_which_targets_agree():

@@ -2,7 +2,6 @@
 
 from contextlib import suppress
 from pathlib import Path
-from types import SimpleNamespace
 
 import cv2
 import matplotlib
@@ -12,7 +11,7 @@ from numpy.testing import assert_allclose
 from PIL import Image, ImageDraw, ImageFont
 from scipy.stats import chi2
 
-from thalweg.clocks import clock_stability, display, read_display
+from thalweg.clocks import clock_stability, read_display
 from thalweg.clocks.display import out_of_sequence, seconds_of
 from thalweg.core import ClockError, InputError
 from thalweg_lab.instruments import simulate_display
@@ -118,21 +117,6 @@ def test_labels_teach_a_look_of_its_own(tmp_path):
     assert table["text"][read].tolist() == [text for text, good in zip(texts, read, strict=True) if good]
     with pytest.raises(InputError, match="label"):
         read_display(files, labels={"absent.png": texts[0]})
-
-
-def test_digits_beyond_doubt_by_hand(monkeypatch):
-    """Of seven sure ones of a digit the best four; of two sure and three nearly sure ones the best three."""
-    score = [0.80, 0.95, 0.74, 0.85, 0.90, 0.76, 0.99, 0.78, 0.92, 0.91, 0.80, 0.97, 0.96, 0.77]
-    margin = [0.30] * 7 + [0.30, 0.30, 0.24, 0.09, 0.11, 0.26, 0.24]
-    digit = [7] * 8 + [3, 3, 3, 3, 3, 3]
-    cells = np.arange(14.0)
-    match = SimpleNamespace(score=np.array(score), margin=np.array(margin), digit=np.array(digit))
-    monkeypatch.setattr(display, "Pictures", SimpleNamespace(of=lambda *_, **__: None))
-    monkeypatch.setattr(display, "compare", lambda *_: match)
-    monkeypatch.setattr(display, "placed", lambda of, *_: of)
-    monkeypatch.setattr(display, "_even", lambda of: of)
-    found = display._sure([(cells, cells)], SimpleNamespace(cells=lambda ink: ink), None)
-    assert found == [(7, 6), (7, 1), (7, 4), (7, 3), (3, 11), (3, 12), (3, 8)]
 
 
 def test_damaged_and_foreign_files_are_left_out_with_their_reason(tmp_path):

@@ -449,10 +449,9 @@ def test_the_march_survey_of_the_beach_is_flagged_by_a_campaign(data_dir):
 
 
 def test_cells_of_models_are_core_points_that_look_up():
-    table = _as_cores(np.array([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]), 0.5)
+    table = _as_cores(np.array([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]), 0.5).fillna(-1)
     assert list(table.columns) == CORE_POINTS.names
-    assert table.drop(columns="scale_m").to_numpy().tolist() == [
-        [0, 1, 1, 2, 3, 0, 0, 1, 0.25, 0],
-        [1, 1, 4, 5, 6, 0, 0, 1, 0.25, 0],
+    assert table.to_numpy().tolist() == [
+        [0, 1, 1, 2, 3, 0, 0, 1, -1, 0.25, 0],
+        [1, 1, 4, 5, 6, 0, 0, 1, -1, 0.25, 0],
     ]
-    assert table["scale_m"].isna().all()

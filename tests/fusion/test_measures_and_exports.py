@@ -286,28 +286,21 @@ def test_without_sections_their_files_are_not_written(river, tmp_path):
 
 
 def test_a_map_of_a_bed_has_its_soundings_and_banks_by_side(tmp_path):
-    grid = Grid(west_m=500_000.0, north_m=5_400_040.0, cell_m=4.0, rows=10, columns=12, crs=GRID)
-    up = 90.0 + 0.1 * (grid.centres_m().reshape(-1, 2)[:, 0] - 500_000.0)
-    rows = [
-        {"side": side, "s_m": s, "east_m": 500_000.0 + s, "north_m": 5_400_000.0 + n}
-        for side, n in (("left", 30.0), ("right", 5.0))
-        for s in (20.0, 0.0, 10.0)
-    ]
-    line = FlowLine.through([[500_000.0 + 10 * k, 5_400_020.0] for k in range(5)])
-    water = SimpleNamespace(line=line, area=None, banks=SimpleNamespace(table=pd.DataFrame(rows)))
-    places = np.array([[500_003.0, 5_400_007.0], [500_009.0, 5_400_011.0]])
+    grid = Grid(west_m=0.0, north_m=40.0, cell_m=4.0, rows=10, columns=12, crs=GRID)
+    banks = pd.DataFrame({"side": ["left", "right"] * 3, "s_m": [20, 20, 0, 0, 10, 10]})
+    banks = banks.assign(east_m=banks["s_m"], north_m=[30, 5] * 3)
+    water = SimpleNamespace(line=None, area=None, banks=SimpleNamespace(table=banks))
     soundings = SimpleNamespace(
-        places_m=places, height_m=np.array([91.0, 92.0]), sigma_m=np.full(2, 0.1), line=np.array([3, 4])
+        places_m=[[3.0, 7.0], [9.0, 11.0]], height_m=[91.0, 92.0], sigma_m=0.1, line=[3, 4]
     )
-    found = SimpleNamespace(bed=SimpleNamespace(grid=grid, up_m=up), water=water)
+    found = SimpleNamespace(bed=SimpleNamespace(grid=grid, up_m=np.arange(120.0)), water=water)
     map_of_bed(tmp_path / "bed.gpkg", found, soundings)
-    layer = {of: geopandas.read_file(tmp_path / "bed.gpkg", layer=of) for of in ("soundings", "banks")}
-    points, banks = layer["soundings"], layer["banks"]
-    assert [p.coords[0] for p in points.geometry] == [(*place, 91.0 + k) for k, place in enumerate(places)]
+    points, sides = (geopandas.read_file(tmp_path / "bed.gpkg", layer=of) for of in ("soundings", "banks"))
+    assert [p.coords[0] for p in points.geometry] == [(3.0, 7.0, 91.0), (9.0, 11.0, 92.0)]
     assert points[["sigma", "line"]].to_numpy().tolist() == [[0.1, 3], [0.1, 4]]
-    assert banks["side"].tolist() == ["left", "right"]
-    for geometry, n in zip(banks.geometry, (30.0, 5.0), strict=True):
-        assert list(geometry.coords) == [(500_000.0 + s, 5_400_000.0 + n) for s in (0.0, 10.0, 20.0)]
+    assert sides["side"].tolist() == ["left", "right"]
+    for line, n in zip(sides.geometry, (30.0, 5.0), strict=True):
+        assert list(line.coords) == [(0.0, n), (10.0, n), (20.0, n)]
 
 
 def test_a_bag_is_read_by_gdal(model, tmp_path):

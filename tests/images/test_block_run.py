@@ -345,7 +345,7 @@ def test_boards_are_looked_for_in_the_block_that_lies_in_the_world(survey, monke
 
 
 def test_measured_positions_of_cameras_belong_to_their_images():
-    """In another order, without one, by names with and without a suffix; of others they are refused."""
+    """In another order, by names with and without a suffix; of others they are refused."""
     centres = CameraPositions(
         images=("c", "a.jpg"), centre_wcs_m=np.array([[3.0, 4, 5], [6, 7, 8]]), sigma_m=0.1 + np.eye(3)[:2]
     )
@@ -353,16 +353,11 @@ def test_measured_positions_of_cameras_belong_to_their_images():
     antenna, facts = job._measured_centres(("d.jpg", "a.jpg", "b.jpg", "c.jpg"), centres, names)
     assert facts == {"source": "positions of the camera", "used": 2, "given": 2}
     assert antenna.image.tolist() == [1, 3]
-    assert antenna.t_s.tolist() == [0.0, 1.0]
     assert antenna.position_wcs_m.tolist() == [[6, 7, 8], [3, 4, 5]]
     assert antenna.sigma_m.tolist() == [[0.1, 1.1, 0.1], [1.1, 0.1, 0.1]]
     assert not antenna.lever_ccs_m.any()
-    for images, words in (
-        (("x", "y"), "x and 1 more images that do not"),
-        (("x", "c"), "of x, which does not"),
-    ):
-        with pytest.raises(InputError, match=words):
-            job._measured_centres(names, replace(centres, images=images), names)
+    with pytest.raises(InputError, match="x and 1 more images that do not"):
+        job._measured_centres(names, replace(centres, images=("x", "y")), names)
 
 
 def test_facts_of_a_model_have_its_own_unit():

@@ -1,6 +1,5 @@
 """Boards found in rendered pictures where roughly known poses predict them."""
 
-import sys
 from types import SimpleNamespace
 
 import cv2
@@ -12,7 +11,7 @@ from thalweg.core import Camera, GeometryError, exp_rotation
 from thalweg.images import COLUMNS, Measured, measure_boards
 from thalweg.images.bundle import grey_loader, mask_loader
 from thalweg.images.control import _correlate
-from thalweg.images.model import ControlPoints, ImageBlock, Similarity
+from thalweg.images.model import ControlPoints, ImageBlock
 from thalweg.settings.sections import ControlSettings
 
 SIZE = (720, 540)
@@ -199,38 +198,6 @@ def test_pictures_and_masks_are_found_by_name(tmp_path):
         assert (mask == value).all()
     assert masks("e.jpg") is None
     assert mask_loader(None)("a.jpg") is None
-
-
-def test_boards_on_which_no_images_agreed_are_looked_for_farther_away(monkeypatch):
-    """And the others where the images see them, in the block as the points have moved it."""
-    control_module, seen = sys.modules[measure_boards.__module__], {}
-    block, given, sights = block_of(), survey(PLACES[:2]), []
-    shifted = Similarity(
-        scale=1.0, R=np.eye(3), shift_m=np.eye(3)[0], misfit_m=np.zeros(2), fits=np.ones(2, bool)
-    )
-
-    def sought(of, control, boards, reach_m, mask, place=None):
-        sights[:] = [SimpleNamespace(point=k, reach_px=1.0) for k in (0, 1)]
-        seen[reach_m] = of, place
-        return sights
-
-    agreed = np.array([[np.nan] * 3, [5.0, 5, 5]])
-    for name, value in {
-        "_sights": sought,
-        "_search": lambda *_, **__: None,
-        "_agreed": lambda *_: agreed,
-        "_moved": lambda *_: shifted,
-        "_reach_px": lambda of, sight, boards, reach_m: 100 * reach_m,
-        "_consistent": lambda *_: None,
-        "_table": lambda *words: words,
-    }.items():
-        monkeypatch.setattr(control_module, name, value)
-    placed, _, found, _ = measure_boards(block, given, BOARD, {}.get, lambda name: None)
-    assert [sight.reach_px for sight in found] == pytest.approx([100 * 0.3 * 0.3, 1.0])
-    assert seen[0.3][0] is block
-    np.testing.assert_allclose(placed.centre_block_m, block.centre_block_m + np.eye(3)[0])
-    assert seen[0.0][0] is placed
-    np.testing.assert_allclose(seen[0.0][1], [PLACES[0], [6.0, 5.0, 5.0]])
 
 
 @pytest.mark.parametrize("turned", [False, True])

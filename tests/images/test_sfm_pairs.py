@@ -92,20 +92,12 @@ def test_equal_times_follow_the_names():
 
 
 def test_names_of_cameras_are_their_own():
-    start = StartCamera(
-        camera=Camera(model="perspective", size_px=(9, 9), parameters=np.ones(9), name="given"),
-        lens="",
-        known=True,
-        source="",
-    )
+    camera = Camera(model="perspective", size_px=(9, 9), parameters=np.ones(9), name="given")
+    start = StartCamera(camera=camera, lens="", known=True, source="")
     groups = [SimpleNamespace(name="GoPro"), SimpleNamespace(name="phone")]
-    for of, taken, given, name in (
-        (groups, [], True, "phone"),
-        (groups, ["phone", "phone_2"], False, "phone_3"),
-        (groups[1:], ["given"], True, "given_2"),
-        (groups[1:], ["given"], False, "phone"),
-    ):
-        assert _named(start, len(of) - 1, of, taken, given=given).camera.name == name
+    assert _named(start, 1, groups, ["phone", "phone_2"], given=True).camera.name == "phone_3"
+    assert _named(start, 0, groups[1:], [], given=True).camera.name == "given"
+    assert _named(start, 0, groups[1:], [], given=False).camera.name == "phone"
 
 
 def test_groups_of_joined_images_the_largest_first():

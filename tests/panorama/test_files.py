@@ -296,11 +296,8 @@ def test_places_in_all_quarters_of_the_earth_and_below_its_ellipsoid(tmp_path):
             tmp_path / "a.jpg", picture, heading_deg=-90.0, llh=np.array(llh), t_gps_s=time, quality=90
         )
         with Image.open(tmp_path / "a.jpg") as file:
-            exif, xmp = file.getexif(), file.info["xmp"].decode()
-        gps = exif.get_ifd(0x8825)
+            gps = file.getexif().get_ifd(0x8825)
         assert (gps[1], gps[3], int.from_bytes(gps[5])) == (north, east, below)
         for tag, value in ((2, llh[0]), (4, llh[1])):
             assert gps[tag][0] + gps[tag][1] / 60 + gps[tag][2] / 3600 == pytest.approx(abs(value))
         assert float(gps[6]) == pytest.approx(abs(llh[2]), abs=6e-4)
-        assert exif[0x0132] == "2021:05:12 08:31:00"
-        assert "270.0" in xmp

@@ -1,14 +1,11 @@
 """Tables and JSON report of a calibration."""
 
 import json
-import sys
 from types import SimpleNamespace
 
 import numpy as np
-import pandas as pd
 import pytest
 
-from thalweg.core import GeometryError
 from thalweg.lightsheet.calibration import CalibrationSettings, calibrate_sheet
 from thalweg.lightsheet.calibration.model import LINE, PAIRS
 from thalweg.lightsheet.calibration.report import (
@@ -20,8 +17,6 @@ from thalweg.lightsheet.calibration.report import (
 )
 from thalweg.lightsheet.calibration.sheet_calibration import Factor, _warnings
 from thalweg.lightsheet.optics import paper_4
-
-search = sys.modules[calibrate_sheet.__module__]
 
 
 @pytest.fixture(scope="module")
@@ -106,43 +101,6 @@ def test_the_report_is_plain_json_and_complete(found):
     for row in report["sigma_of_depth"]:
         # levels known beforehand shrink the gain of the correlations, from 4-10 times to 2.5 and more
         assert row["median_mm"] is None or row["median_uncorrelated_mm"] > 2 * row["median_mm"]
-
-
-def test_pictures_turned_or_mirrored_are_tried_where_the_laser_is_far_from_its_design(monkeypatch):
-    """Pixels and directions of each; refused where one lies nearer to the design and fits as well."""
-    sensor = SimpleNamespace(name="s", camera=SimpleNamespace(size_px=(100, 60)))
-    points = pd.DataFrame({"x_px": [10.0, 20.0], "y_px": [5.0, 50.0], "angle_rad": [0.1, -0.2]})
-    seen, far, misfit = [], {}, {}
-
-    def fitted(_sensor, given, *_):
-        seen.append(given[["x_px", "y_px", "angle_rad"]].to_numpy().T.tolist())
-        return SimpleNamespace(sensor=len(seen), misfit_px=misfit.get(len(seen), 1.0))
-
-    monkeypatch.setattr(search, "fit_sheet", fitted)
-    monkeypatch.setattr(search, "design_sigmas", lambda found, _: far.get(found, 50.0))
-    grid = SimpleNamespace(name="g")
-    assert calibrate_sheet(sensor, points, grid).sensor == 1
-    assert seen == [
-        [[10, 20], [5, 50], [0.1, -0.2]],
-        [[90, 80], [55, 10], [0.1, -0.2]],
-        [[90, 80], [5, 50], [-0.1, 0.2]],
-        [[10, 20], [55, 10], [-0.1, 0.2]],
-    ]
-    for better, words in ((2, "turned by 180 degrees"), (3, "left to right"), (4, "top to bottom")):
-        seen.clear()
-        far.clear()
-        far[better] = 1.0
-        with pytest.raises(
-            GeometryError, match=rf"lies 50 sigmas.*{words}.*1.0 sigmas, with 1.00 instead of 1.00"
-        ):
-            calibrate_sheet(sensor, points, grid)
-        seen.clear()
-        misfit[better] = 9.0
-        assert calibrate_sheet(sensor, points, grid).sensor == 1
-    seen.clear()
-    far[1] = 0.5
-    calibrate_sheet(sensor, points, grid)
-    assert len(seen) == 1
 
 
 def test_warnings_of_a_calibration_by_hand(found):
