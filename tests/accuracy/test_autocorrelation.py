@@ -7,6 +7,7 @@ from thalweg.accuracy.reference_comparison import (
     PERMUTATIONS,
     SIGNIFICANT,
     Cells,
+    _spread,
     cells_of,
     correlogram_of,
     dependency_in_words,
@@ -190,6 +191,22 @@ def test_spread_that_depends_on_the_place_is_found_where_sigmas_do_not_say_it(rn
     told = local_dependency(places, errors, seed=1, sigma_m=sigma)
     assert "No local dependency of the spread over sigma" in dependency_in_words(told)
     assert values(told)["spread_variation"] < 0.03
+
+
+def test_the_spread_of_cells_of_uneven_size_by_hand():
+    """Values m +- d in cells of 30, 40 and 70 deviate by d / sqrt(1 - 1/n): one-way components of those."""
+    n, d = np.array([30, 40, 70]), np.array([0.01, 0.02, 0.04])
+    cell = np.repeat(np.arange(3), n)
+    places = np.column_stack([10.0 * cell + 0.5, np.full(140, 0.5), np.full(140, 0.5)])
+    value = 0.3 * cell + d[cell] * np.where(np.arange(140) % 2, 1, -1)
+    for sigma in (None, np.full(140, 4.0)):
+        mean = d / np.sqrt(1 - 1 / n) / (1.0 if sigma is None else 4.0)
+        whole = np.sum(n * mean) / 140
+        size = (140 - np.sum(n**2) / 140) / 2
+        variation = np.sqrt(np.sum(n * (mean - whole) ** 2) / 2 / size) / whole
+        rows = _spread(places, value, 1.0, sigma, seed=0)
+        assert rows[2][2:4] == (3, pytest.approx(variation))
+        assert rows[3][2:4] == (3, float(sigma is not None))
 
 
 def test_spread_of_even_errors_gives_even_p_values(rng):

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from tests.accuracy import bank_samples as bank
 from thalweg.accuracy import ComparisonSettings, after_motion, chi_square_band, register, registration
 from thalweg.accuracy.reference_comparison import registration_facts
-from thalweg.accuracy.registration import share_within_blocks
+from thalweg.accuracy.registration import CELLS, register_places, share_within_blocks
 from thalweg.core import GeometryError
 from thalweg.surface import LEAST_VISIBLE, Distances, Motion, Surface, visible_motions
 from thalweg_lab.random_numbers import gauss_markov, generator
@@ -312,3 +312,25 @@ def test_sigmas_of_shift_and_rotation_keep_their_names_and_units(plane, rng):
     assert facts["sigma_shift_m"] == pytest.approx({"east": 0.001, "north": 0.002, "up": 0.003})
     assert facts["rotation_deg"] == pytest.approx({"east": 0.1, "north": -0.2, "up": 0.3})
     assert facts["sigma_rotation_deg"] == pytest.approx({"east": 0.01, "north": 0.02, "up": 0.03})
+
+
+def test_a_cloud_without_times_rests_on_cells_in_plan(rough, rng, monkeypatch):
+    """As many points as may take part, each once; cells of the area over their number."""
+    wanted = bank.on_bank(rng, 6000, relief_m=RELIEF_M)
+    xyz, _ = displaced(wanted, [0.02, -0.03, 0.05], [0.1, -0.1, 0.1])
+    monkeypatch.setattr(registration, "MOST_POINTS", 5000)
+    fit, given = registration._fit, []
+
+    def seen(points, *rest):
+        given.append(points)
+        return fit(points, *rest)
+
+    monkeypatch.setattr(registration, "_fit", seen)
+    found = register_places(xyz, rough, 0.5)
+    assert (len(given[0]), len(np.unique(given[0], axis=0))) == (5000, 5000)
+    assert worst(found.motion, xyz, wanted) < 0.003
+    span = np.ptp(given[0][:, :2], axis=0)
+    assert found.cell_m == pytest.approx(np.sqrt(span[0] * span[1] / CELLS), rel=0.01)
+    assert found.cells == pytest.approx(CELLS, rel=0.35)
+    assert found.cov is not None
+    assert found.n == pytest.approx(5000, rel=0.01)

@@ -328,6 +328,14 @@ def test_left_out_lines_judge_the_methods(survey, bed):
     assert facts["lines"] == predicted.loc[predicted["group"] == "line", "number"].nunique() >= 8
     # one observation of some ten lines; 0.89, within a factor of two. The guard is `bed_study`
     assert 0.45 < facts["normalised_square"] < 1.8
+    # each foretold place: its distance to the nearest datum of another line, and which lie near the shore
+    of = predicted[predicted["group"] == "line"].iloc[::7]
+    number, s, n = (of[[name]].to_numpy() for name in ("number", "s_m", "n_m"))
+    off = np.hypot(s - bed.data["s_m"].to_numpy(), n - bed.data["n_m"].to_numpy())
+    off[number == bed.data["line"].to_numpy()] = np.inf
+    assert of["distance_m"].to_numpy() == pytest.approx(off.min(axis=1))
+    left, right = banks.half_widths_m(s)
+    assert of["margin"].tolist() == (np.where(n > 0, n / left, -n / right) > 0.7).ravel().tolist()
     rmse = methods.set_index("method")["rmse_m"]
     assert rmse["kriging"] < 0.6 * rmse["kriging, same range along and across"]
     assert rmse["kriging"] < rmse["inverse distance"]
@@ -645,6 +653,12 @@ def test_soundings_of_others_are_data_of_the_bed(survey, tmp_path, depth):
     s, n, _ = line.to_flow(of[["east_m", "north_m"]].to_numpy())
     # depths count from a water level that is known to some millimetres
     assert np.abs(of["up_m"].to_numpy() + depth_m(s, n)).max() < 0.03
+    assert others["line"].tolist() == np.repeat(np.arange(8), 15).tolist()
+    assert (others["sigma_white_m"] == 0.02).all()
+    assert (others["sigma_common_m"] == settings.table.sigma_common_m).all()
+    assert others["up_m" if depth else "depth_m"].isna().all()
+    if depth:
+        assert others["depth_m"].to_numpy() == pytest.approx(np.tile(depth_m(s[:60], n[:60]), 2), abs=1e-3)
     assert of["line"].nunique() == 8
     assert of["line"].min() > own["line"].max()
     assert (of["sigma_common_m"] >= settings.table.sigma_common_m).all()

@@ -14,7 +14,7 @@ from thalweg.bathymetry.kriging import (
     krige_by_pykrige,
     krige_dense,
 )
-from thalweg.bathymetry.variogram import BedModel, _by_slope
+from thalweg.bathymetry.variogram import BedModel, _by_slope, _thinned
 from thalweg.core import GeometryError
 from thalweg.settings.sections import Bathymetry
 
@@ -117,6 +117,15 @@ def test_a_line_gives_so_many_soundings_and_no_more():
     for of_line, taken in ((1, [0, 3]), (2, [0, 1, 3, 4]), (0, [0, 1, 2, 3, 4])):
         found = krige(data, cell, of, octants=False, of_line=of_line)[0][0]
         assert found == pytest.approx(krige_dense(data.where(taken), cell, of)[0][0], abs=1e-9)
+
+
+def test_soundings_to_foretell_and_those_from_which():
+    """Of 3 lines of 500, each second (1500 > 1200); of 3 of 10 all; from 3000 data each second (> 1500)."""
+    for each, step, thin in ((500, 2, 1), (10, 1, 1), (1000, 3, 2)):
+        data = observed([[0.0, 0.0]] * 3 * each, [0.0] * 3 * each, line=np.repeat([4, 7, 9], each))
+        test, train = _thinned(data, np.array([9, 4, 7]), np.random.default_rng(0))
+        assert [of.tolist() for of in test] == [list(range(k * each, (k + 1) * each, step)) for k in range(3)]
+        assert train.tolist() == list(range(0, 3 * each, thin))
 
 
 def test_models_without_a_meaning_are_refused():

@@ -29,6 +29,7 @@ from thalweg.bathymetry import (
 )
 from thalweg.bathymetry.bed import gridded
 from thalweg.bathymetry.lake import elongation, farthest_told_m, lines_or_patches
+from thalweg.bathymetry.tables import _agreed
 from thalweg.bathymetry.variogram import Basin
 from thalweg.cli import main
 from thalweg.core import CoverageError, GeometryError, Grid, InputError
@@ -405,6 +406,8 @@ NOON = 1_714_564_800.0  # 2024-05-01 12:00 UTC
         ("date;level_ft\n2024-05-01;10\n2024-05-02;20\n", [3.048, 3.048, 6.096]),
         ("2024-05-01T11:00,1.0\n2024-05-01T13:00Z,2.0\n2024-05-02T13:00,2.0\n", [1.5, 1.75, 2.0]),
         ("2024-05-01;11:00;1.0\n2024-05-01;13:00;2.0\n2024-05-02;13:00;2.0\n", [1.5, 1.75, 2.0]),
+        # a name that says nothing: the last column
+        ("date,q,zz\n2024-05-02,7,312.8\n2024-05-01,7,312.5\n", [312.5, 312.5, 312.8]),
     ],
 )
 def test_levels_by_day_and_by_time(text, expected, tmp_path):
@@ -415,7 +418,7 @@ def test_levels_by_day_and_by_time(text, expected, tmp_path):
 
 def test_levels_of_a_gauge_without_dates(tmp_path):
     """Minutes of a day in quotes, as gauges write them."""
-    (tmp_path / "g.csv").write_text('"00:00","4.00"\n"12:00","4.60"\n"12:30","4.90"\n')
+    (tmp_path / "g.csv").write_text('"00:00","4.00"\n"12:00:00","4.60"\n"12:30","4.90"\n')
     levels = Levels.read(tmp_path / "g.csv")
     assert levels.at(np.array([NOON, NOON + 600.0])) == pytest.approx([4.6, 4.7])
     bed = grid_of(60.0, 40.0)
@@ -485,7 +488,8 @@ def test_runs_are_pieces_between_pauses_or_names_of_a_column(tmp_path):
     by_pause = read_soundings(table, UTM, line_column=None, **known)
     assert by_pause.run is not None
     assert by_pause.run.tolist() == [0] * 16 + [1] * 8 + [2] * 8
-    assert [name.startswith("the run of 20") for name in by_pause.runs] == [True] * 3
+    begins = ["2024-05-01 12:00", "2024-05-01 12:05", "2024-05-02 12:05"]
+    assert by_pause.runs == tuple(f"the run of {time}" for time in begins)
     named = read_soundings(table, UTM, line_column="track", **known)
     assert named.run is not None
     assert np.unique(named.run).tolist() == [0, 1, 2, 3]
@@ -517,6 +521,23 @@ def test_steps_of_runs_are_adjusted_and_nothing_else_is(scatter_m):
     if normalised:
         low, high = band(5 * len(normalised))
         assert low < np.mean(normalised) < high
+
+
+def test_the_line_that_contradicts_others_is_named():
+    """Of one run: tracks along are one line, each across is its own; the last one 0.5 m too high."""
+    along, across = tracks(12.0, along_east=True), tracks(24.0, along_east=False)
+    soundings = soundings_of(along + across, [0] * len(along + across))
+    line = np.maximum(soundings.line - len(along) + 1, 0)
+    last = line == len(across)
+    lifted = replace(soundings, day=None, days=(), line=line, height_m=soundings.height_m + 0.5 * last)
+    same, left, facts, notes = _agreed(lifted)
+    assert same.height_m.tolist() == lifted.height_m.tolist()
+    (told,) = facts["pairs of lines"]
+    assert (told["a"], told["b"]) == ("line 0", f"line {len(across)}")
+    assert told["difference_m"] == pytest.approx(0.5, abs=0.05)
+    beside = f"(median of {told['n']} crossings, sigma {told['sigma_m']:.3f} m)"
+    assert notes[0] == f"line {len(across)} lies {told['difference_m']:.3f} m above line 0 {beside}"
+    assert len(left) == len(last)
 
 
 def test_an_outline_is_the_map_in_flow_coordinates_too(tmp_path):

@@ -18,7 +18,14 @@ from thalweg.bathymetry import (
     speed_of_sound_mps,
     with_bed_normals,
 )
-from thalweg.bathymetry.soundings import SOUNDINGS, _judge_neighbours, _lines, soundings_on_map
+from thalweg.bathymetry.soundings import (
+    SOUNDINGS,
+    _judge_neighbours,
+    _lines,
+    _turning,
+    _velocity,
+    soundings_on_map,
+)
 from thalweg.core import (
     ErrorChain,
     InputError,
@@ -364,6 +371,23 @@ def test_a_boat_that_turns_too_fast_takes_no_soundings():
     }
     slow, _ = located(np.full(500, 2.0), trajectory, settings=Bathymetry(max_turn_deg_per_s=15.1))
     assert slow["used"].all()
+
+
+def test_velocity_and_turns_over_two_seconds_by_hand():
+    """East grows by 0.1 t2: from a to b by 0.1 (a + b) a second; the heading by 2 t2 degrees, past south."""
+    t = straight().t_gps_s
+    heading = np.deg2rad(170.0 + 2.0 * (t - t[0]) ** 2)
+    turned = (Rotation.from_euler("z", heading[:, None]) * Rotation.from_quat(DOWN)).as_quat()
+    east = 0.1 * (t - t[0]) ** 2
+    trajectory = replace(
+        straight(), position_wcs_m=np.column_stack([east, -3.0 * t, 0.5 * t]), quaternion_wcs_ics=turned
+    )
+    at = t[0] + np.array([0.0, 0.5, 4.0])
+    expected = np.column_stack([[0.1, 0.15, 0.8], np.full(3, -3.0), np.full(3, 0.5)])
+    assert _velocity(trajectory, at) == pytest.approx(expected, abs=1e-6)
+    for limit, quick in ((1.9, [True, True, True]), (2.1, [False, True, True]), (15.9, [False, False, True])):
+        assert _turning(trajectory, at, limit).tolist() == quick
+    assert not _turning(trajectory, at, 16.1).any()
 
 
 def lines_of(t: np.ndarray, east: np.ndarray, north: np.ndarray) -> list[int]:

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -171,6 +172,13 @@ def test_corners_and_pose_of_a_drawn_board():
     np.testing.assert_allclose(seen.T_ccs_board.shift_m, T.shift_m, atol=0.002)
     assert seen.normal @ T.R[:, 2] > np.cos(np.deg2rad(0.2))
     assert seen.T_ccs_board.sigma_shift_m.max() < 0.002
+
+
+@pytest.mark.parametrize("ray", [[0.0, 0.0, np.nan], [1.0, 0.0, 0.04]])
+def test_corners_aside_of_the_camera_have_no_pose(ray):
+    rays = np.array([[0.0, 0.0, 1.0]] * 34 + [ray])
+    with pytest.raises(GeometryError, match="corners that the camera model cannot image"):
+        board_view("aside", np.zeros((35, 2)), BOARD, SimpleNamespace(rays=lambda _: rays))
 
 
 def test_a_picture_without_a_board_is_told():

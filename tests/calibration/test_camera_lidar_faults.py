@@ -155,6 +155,24 @@ def test_a_cone_that_leaves_the_adjustment_without_a_solution_is_named(monkeypat
     assert square(result, y.truth) < LIKELY
 
 
+def test_the_least_likely_displacement_and_of_equals_that_of_the_whole_cone():
+    found = [
+        camera_lidar.Displacement(
+            cone=cone,
+            position=position,
+            points=9,
+            shift_m=np.zeros(3),
+            tilt_rad=np.zeros(2),
+            cov=np.eye(5),
+            sigmas=sigmas,
+        )
+        for cone, position, sigmas in (("A", "p1", 5.0), ("A", "", 5.0), ("B", "p1", 4.0), ("B", "", 3.0))
+    ]
+    assert camera_lidar.worst(found, 4.5) is found[1]
+    assert camera_lidar.worst(found[:1] + found[2:], 4.5) is found[0]
+    assert camera_lidar.worst(found, 5.0) is None
+
+
 def test_cones_of_another_opening_angle_are_told_as_such():
     references = [replace(r, half_angle_rad=np.deg2rad(50.0)) for r in Yard(seed=4).references()[5:]]
     with pytest.raises(GeometryError, match=r"3 of 3 cones cannot be used: cone C6: .*half angle"):

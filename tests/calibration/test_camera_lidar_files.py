@@ -17,12 +17,13 @@ from thalweg.calibration.camera_lidar import (
     ResultFiles,
     Statics,
     calibrate_camera_lidar,
+    files as files_of_pair,
     foreign_markers,
     input as given,
     write_camera_lidar,
 )
 from thalweg.calibration.camera_lidar.adjustment import reference_table
-from thalweg.calibration.camera_lidar.files import study_of
+from thalweg.calibration.camera_lidar.files import planned_scan, study_of
 from thalweg.calibration.field import FieldPoints, Resected, parse_field
 from thalweg.core import Camera, InputError, Rigid
 from thalweg.core.calibration import read_calibration, write_calibration
@@ -272,18 +273,28 @@ def test_markers_beside_their_cones_are_named():
     assert all("mm off its surface" in line for line in lines)
 
 
-def test_the_study_of_the_design_keeps_a_fixed_half_angle(tmp_path):
+def test_the_study_of_the_design_keeps_a_fixed_half_angle(monkeypatch):
+    places = []
+
+    def scanned(cones, lengths, pose, pattern):
+        places.append(pose.matrix)
+        return planned_scan(cones, lengths, pose, pattern)
+
+    monkeypatch.setattr(files_of_pair, "planned_scan", scanned)
     y = yard.Yard(seed=3, frames=2, cones=[replace(c, half=np.deg2rad(25.0)) for c in yard.built_cones()])
     y = replace(y, there=y.cones)
     sigmas = []
     for free in (True, False):
         settings = CameraLidarSettings(within=None, free_half_angle=free)
         result = calibrate_camera_lidar(y.references(), y.positions(1), y.truth, settings)
+        places.clear()
         study = study_of(result, y.references(), 0.0173)
         whole = study[study["cones"] == 6].set_index("quantity")["sigma"]
         # what the study promises is what came out
         assert whole["x_m"] == pytest.approx(result.T_ccs_scs.sigma_shift_m[0], rel=0.2)
         sigmas.append(whole["x_m"])
+        expected = [T.matrix @ result.T_ccs_scs.matrix for T in result.adjusted.x.poses]
+        np.testing.assert_allclose(places[: len(expected)], expected)
     assert sigmas[1] < sigmas[0]
 
 

@@ -6,8 +6,8 @@ from scipy.stats import chi2
 
 from tests.calibration.echo_runs import SIGMA_RULER_M, TRUE_LEVER_M, EchoSpec, bed_height_m, make_echo_run
 from thalweg.calibration import Bed, EchoSettings, estimate_echo_sounder
-from thalweg.calibration.echo_sounder import EchoSounder
-from thalweg.calibration.ins_lidar import PoseErrors
+from thalweg.calibration.echo_sounder import PARAMETERS, EchoSounder
+from thalweg.calibration.ins_lidar import BorderedNormals, PoseErrors
 from thalweg.core import CoverageError, GeometryError
 from thalweg_lab.studies.cone_runs import LEVER_ANTENNA_M
 
@@ -48,8 +48,19 @@ def test_consistent_over_seeds_and_formal_not():
     assert np.mean(formal) > 50
 
 
-def test_relief_and_turns_observe_all():
+def test_relief_and_turns_observe_all(monkeypatch):
+    solve, steps = BorderedNormals.solve, []
+
+    def noted(self, *words):
+        found = solve(self, *words)
+        steps.append(np.abs(found.border[:4]) / np.sqrt(np.diag(found.cov_border)[:4]))
+        return found
+
+    monkeypatch.setattr(BorderedNormals, "solve", noted)
     found = estimated(1, EchoSpec(reach_m=12.0, lag_s=0.08))
+    # all steps but the last are longer than a hundredth of a sigma; then each unknown is solved alone
+    *before, last = [float(step.max()) for step in steps[: -len(PARAMETERS)]]
+    assert last < 0.01 < min(before)
     assert found.observed == ("x", "y", "z", "lag")
     # a third of the ruler's 3 cm
     assert np.all(np.sqrt(np.diag(found.cov_m2))[:2] < 0.012)

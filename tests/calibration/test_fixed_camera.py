@@ -11,6 +11,7 @@ from scipy.stats import chi2
 
 from thalweg.accuracy import verdict_of
 from thalweg.calibration import read_camera, resect_series, starting_lens
+from thalweg.calibration.camera_files import free_of_lens
 from thalweg.calibration.fixed_camera import _columns
 from thalweg.cli import main
 from thalweg.core import Camera, GeometryError, InputError
@@ -153,6 +154,41 @@ def test_a_camera_that_stays_and_one_that_moved():
     assert verdict_of(still["normalised"], 45) == "consistent"
     moved = facts_of(0.2)
     assert verdict_of(moved["normalised"], 45) == "too optimistic"
+
+
+def test_what_is_told_of_a_series_by_hand():
+    """Three pictures, the third without a pose; places weighted by the marks."""
+    good = {"x_m": [1.0, 2.0], "y_m": [5.0, 5.0], "z_m": [-1.0, -4.0], "rms_px": [0.3, 0.5]}
+    good |= {f"sigma_change_{a}_m": [1.0, 2.0] for a in "xyz"}
+    good |= {f"sigma_{a}_m": [2.0, 5.0] for a in "xyz"}
+    rows = pd.DataFrame(good).assign(image=["a", "b"], refused="")
+    none = pd.DataFrame([{"image": "c", "refused": "no marks"}])
+    assert history_facts(pd.concat([rows, none])) == {
+        "pictures": 3,
+        "with_pose": 2,
+        "refused": {"c": "no marks"},
+        "place_m": pytest.approx({"x": 1.2, "y": 5.0, "z": -1.6}),
+        "spread_m": pytest.approx({"x": np.sqrt(0.5), "y": 0.0, "z": 3 * np.sqrt(0.5)}),
+        "predicted_m": pytest.approx(dict.fromkeys("xyz", np.sqrt(2.5))),
+        "sigma_m": pytest.approx(dict.fromkeys("xyz", 3.5)),
+        "degrees": 3,
+        "normalised": pytest.approx((0.2**2 + 0.4**2 + 0.6**2 + 1.2**2) / 3),
+        "rms_px": pytest.approx(np.sqrt(0.17)),
+    }
+
+
+def test_what_is_to_be_estimated_of_a_lens():
+    """What a covariance observes is left to it; the focal length is one unknown, in pixels of the mean."""
+    cov = np.zeros((9, 9))
+    cov[2, 2] = cov[4, 4] = 0.25
+    camera = replace(CAMERA, parameters=CAMERA.parameters + np.eye(9)[1] * 200.0).with_parameters(
+        CAMERA.parameters + np.eye(9)[1] * 200.0, cov
+    )
+    names = camera.parameter_names
+    found = free_of_lens(camera, ["focal", "centre", names[4], names[5]])
+    assert list(found) == ["focal", names[3], names[5]]
+    np.testing.assert_allclose(found["focal"], np.r_[0.975, 1.025, np.zeros(7)])
+    np.testing.assert_array_equal([found[names[3]], found[names[5]]], np.eye(9)[[3, 5]])
 
 
 def test_check_points_take_no_part():

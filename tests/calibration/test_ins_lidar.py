@@ -1,7 +1,9 @@
 """Mount of the lidar from a run past cones: convergence, consistency over seeds, gates, outliers."""
 
+from contextlib import nullcontext
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,7 +19,7 @@ from thalweg.calibration.ins_lidar import (
     RunPoints,
     calibrate,
 )
-from thalweg.calibration.ins_lidar.adjustment import InsLidar, seen_headings_deg
+from thalweg.calibration.ins_lidar.adjustment import InsLidar, _Run, check_antenna, seen_headings_deg
 from thalweg.calibration.ins_lidar.model import BeamNoise, Known, State, linearise, truncated_variance
 from thalweg.calibration.ins_lidar.run_points import find_mount
 from thalweg.core import ArrayF, CoverageError, GeometryError, Rigid, UnobservableError
@@ -285,6 +287,54 @@ def test_an_antenna_that_is_another_marker_is_refused():
     ) as error:
         solved(replace(run, antenna=other), settings(SHORT, search=NO_SEARCH), start=NEAR)
     assert "antenna.offset_m" in str(error.value)
+
+
+@pytest.mark.parametrize(("times", "refused"), [(0.999, False), (1.001, True)])
+def test_an_antenna_is_refused_beyond_one_in_a_million(times, refused):
+    """Covariances of mount and marker add; three degrees of freedom."""
+    mount = replace(TRUE_MOUNT, cov=np.diag([9e-6, 9e-6, 9e-6, 0.0, 0.0, 0.0]))
+    seen = SimpleNamespace(x_scs_m=np.array([0.1, -0.4, 0.3]), cov_m2=16e-6 * np.eye(3))
+    off = times * 5e-3 * np.sqrt(chi2.isf(1e-6, 3)) * np.array([0.6, 0.0, -0.8])
+    lever = mount.apply(seen.x_scs_m[None])[0] - off
+    known = SimpleNamespace(antenna=seen, lever_ics_antenna_m=lever)
+    with pytest.raises(GeometryError, match=r"28 mm.*9 mm") if refused else nullcontext():
+        check_antenna(known, mount)
+
+
+def test_points_of_a_pass_are_thinned_and_counted_by_hand():
+    """Two cones: of six used points of the first three stay; the second has none in use."""
+
+    def marked(text):
+        return np.array(list(text)) == "x"
+
+    of = SimpleNamespace(
+        cone=np.repeat([0, 1], [7, 3]),
+        near=np.array([9, 4]),
+        rows=[{"pass": 4}],
+        known=SimpleNamespace(field=SimpleNamespace(names=("A", "B"))),
+        settings=SimpleNamespace(max_points_per_cone=3),
+        selection=SimpleNamespace(
+            used=marked("xxxxxx----"),
+            far=marked("------xx--"),
+            ends=marked("--------x-"),
+            grazing=marked("---------x"),
+        ),
+    )
+    _Run._thin(of)
+    assert np.flatnonzero(of.selection.used).tolist() == [0, 2, 5]
+    distance = np.full(10, 9.0)
+    distance[[0, 2, 5]] = 0.003, 0.004, np.nan
+    _Run._count(of, 0.02, SimpleNamespace(distance_m=distance))
+    counts = ("near", "taken", "used", "far_from_surface", "beyond_ends", "grazing", "thinned")
+    assert [[row[name] for name in counts] for row in of.rows[1:]] == [
+        [9, 7, 3, 1, 0, 0, 3],
+        [4, 3, 0, 1, 1, 1, 0],
+    ]
+    assert [(row["pass"], row["cone"], row["layer_mm"]) for row in of.rows[1:]] == [
+        (5, "A", 20.0),
+        (5, "B", 20.0),
+    ]
+    assert [row["rms_mm"] for row in of.rows[1:]] == pytest.approx([np.sqrt(12.5), np.nan], nan_ok=True)
 
 
 def test_the_sigma_of_the_stamps_reaches_the_adjustment():

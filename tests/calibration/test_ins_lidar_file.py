@@ -11,8 +11,9 @@ from thalweg.calibration import Cone, MarkerLayout
 from thalweg.calibration.field import FieldDescription, FieldPoints
 from thalweg.calibration.field.description import AntennaMarker, FieldCone
 from thalweg.calibration.ins_lidar import FieldCones
-from thalweg.calibration.ins_lidar.file import field_cones, seen_antenna
-from thalweg.core import ConfigError, InputError
+from thalweg.calibration.ins_lidar.antenna import antenna_lever, phase_centre
+from thalweg.calibration.ins_lidar.file import field_antenna, field_cones, seen_antenna
+from thalweg.core import ConfigError, InputError, Rigid
 
 HALF_RAD = np.deg2rad(25.0)
 PER_CONE = 8
@@ -131,3 +132,26 @@ def test_without_a_camera_the_antennas_marker_is_left_out():
     assert seen_antenna(field, measured(0), {}, [], [], "position_1") is None
     with pytest.raises(ConfigError, match="no such file"):
         seen_antenna(field, measured(0), {}, [Path("poses.parquet")], [Path("nothing.yaml")], "position_1")
+
+
+def test_the_antenna_by_its_marker_has_the_covariance_of_its_four_corners():
+    """Its points stand in mixed order behind others; by the camera's place and the formula of the mark."""
+    rng = np.random.default_rng(4)
+    square = np.array([[0, 0, 1], [0.1, 0, 1], [0.1, -0.1, 1], [0, -0.1, 1]]) + np.array([0.5, 0.2, 0.0])
+    root = 1e-3 * rng.standard_normal((21, 21))
+    cov = root @ root.T
+    names = ((7, 0), (99, 2), (7, 1), (99, 0), (99, 3), (8, 2), (99, 1))
+    xyz = np.array([square[corner] if marker == 99 else [9.0, 9.0, 9.0] for marker, corner in names])
+    at = [names.index((99, corner)) for corner in range(4)]
+    of = np.array([[cov[3 * i + a, 3 * j + b] for j in at for b in range(3)] for i in at for a in range(3)])
+    pose = Rigid(R=np.eye(3), shift_m=np.array([0.3, 0.0, 0.5]), cov=1e-6 * np.eye(6))
+    relative = Rigid(R=np.eye(3), shift_m=np.array([0.0, 0.1, 0.0]), cov=1e-8 * np.eye(6))
+    field = replace(FIELD, antenna=AntennaMarker(marker=99, offset_m=-0.02, sigma_m=0.001))
+    points = FieldPoints(points=names, points_pcs=xyz, cov=cov)
+    poses = {"position_1.jpg": pose, "position_2.jpg": relative}
+    found = field_antenna(field, points, poses, "position_1.png", relative)
+    assert found is not None
+    np.testing.assert_allclose(found.x_ccs_m, [0.25, 0.15, 0.48], atol=1e-9)
+    np.testing.assert_allclose(found.x_scs_m, [0.25, 0.05, 0.48], atol=1e-9)
+    mark = phase_centre(square, of, offset_m=-0.02, sigma_offset_m=0.001)
+    np.testing.assert_allclose(found.cov_scs_m2, antenna_lever(mark, pose, relative).cov_scs_m2)

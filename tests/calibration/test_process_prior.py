@@ -1,12 +1,13 @@
 """What is stated of the errors of poses holds where a run says little."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from thalweg.calibration.ins_lidar import PoseErrors
-from thalweg.calibration.ins_lidar.adjustment import estimate_processes
+from thalweg.calibration.ins_lidar.adjustment import NAMES, estimate_processes
 
 
 def test_the_prior_holds_a_size_that_the_run_would_let_go():
@@ -26,4 +27,7 @@ def test_the_prior_holds_a_size_that_the_run_would_let_go():
     assert found.errors.position_time_s == pytest.approx(stated.position_time_s, rel=0.02)
     # 64 draws: a sigma to 9 %, two of these; each parameter is as wide as its prior
     np.testing.assert_allclose(found.width, 1.0, atol=0.18)
-    assert found.undetermined() == found.names
+    assert found.undetermined() == found.names == NAMES
+    without = estimate_processes(step, knots, replace(stated, white_share=0.0))
+    assert without.names == NAMES[:-1]
+    assert without.draws.shape[1] == len(without.z) == 6

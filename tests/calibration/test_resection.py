@@ -17,6 +17,7 @@ from thalweg.calibration import (
 )
 from thalweg.calibration.camera_lidar import statics_of
 from thalweg.calibration.field import FieldPoints, pose_from_rays, resect
+from thalweg.calibration.field.resection import _misfit
 from thalweg.core import Camera, GeometryError, Rigid, exp_rotation
 
 SLR, FISHEYE = blocks.SLR, blocks.FISHEYE
@@ -113,6 +114,14 @@ def test_derivatives_by_shared_errors():
     other = camera.with_parameters(camera.parameters + step)
     change = resect(other, marks, points).T_pcs_ccs.error_from(found.T_pcs_ccs)
     np.testing.assert_allclose(found.by_interior @ step, change, atol=2e-6)
+
+
+def test_a_misfit_by_hand():
+    """Two marks, off by (3, 4) px with a sigma of 5 and by (0, 6) with 2: root of (1 + 9) / 2 / 2."""
+    X = np.array([[4.0, 0.5, 1.0], [4.0, -0.5, 1.2]])
+    pose = blocks.look(np.array([0.0, 0.1, 1.0]), np.array([4.0, 1.0, 1.0]))
+    xy = SLR.project((X - pose.shift_m) @ pose.R) + np.array([[3.0, 4.0], [0.0, 6.0]])
+    assert _misfit(SLR, pose, X, xy, np.array([5.0, 2.0])) == pytest.approx(np.sqrt(2.5))
 
 
 def test_a_moved_marker_is_named():

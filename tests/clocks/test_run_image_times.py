@@ -73,6 +73,7 @@ def test_an_image_takes_the_time_of_its_pulse():
     assert facts["images_without_pulse"] == ["R20.jpg", "R39.jpg"]
     assert facts["pulses_without_image_s"] == [pulses()[5], pulses()[-1]]
     assert (clock.offset_s, clock.jitter_s) == (0.003, 2e-4)
+    assert (clock.t_first_s, clock.t_last_s) == (pulses()[0], pulses()[-1])
     assert any("R20.jpg, R39.jpg" in note for note in clock.notes)
 
 

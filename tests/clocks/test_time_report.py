@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from thalweg.clocks import ClockModel, Lag, Speeds, report_lines, stream_table, time_report
-from thalweg.clocks.streams import COLUMNS
+from thalweg.clocks.streams import COLUMNS, _stream_row
 from thalweg.clocks.synchronise import offset_options, run_attitude, run_poses
 from thalweg.clocks.ties import RUN_IMAGE_TIMES, trigger_clock
 from thalweg.core import (
@@ -100,13 +100,6 @@ def test_every_stream_says_who_stamps_it_and_what_that_costs(tmp_path):
         assert "pulse per second" in row.loc["lidar", "stamped_by"]
         assert row.loc["depth", "stamped_by"] == "the logging computer"
         assert not row.loc["depth", "synchronised"]
-        # a lag that is significant is not corrected: it and its sigma stay
-        assert row.loc["positions", "sigma_time_s"] == pytest.approx(np.hypot(0.040, 0.003), rel=1e-3)
-        assert row.loc["positions", "cost_if_ignored_mm"] == pytest.approx(speeds.cost_mm(0.040, 25.0))
-        # nothing was checked: the unit of the stamps is no accuracy
-        assert np.isnan(row.loc["lidar", ["sigma_time_s", "cost_mm"]].astype(float)).all()
-        assert row.loc["lidar", "resolution_s"] == 1e-6
-        assert "not measured" in row.loc["lidar", "remark"]
         # jitter, offset, and drift over 200 s
         sigma = np.sqrt(0.023**2 + 0.0016**2 + (1e-5 * 200) ** 2)
         assert row.loc["camera", "sigma_time_s"] == pytest.approx(sigma)
@@ -123,6 +116,44 @@ def test_every_stream_says_who_stamps_it_and_what_that_costs(tmp_path):
     lidar = text[text.index("lidar: ") : text.index("ins: ")]
     assert "is good to" not in lidar
     assert "Not checked against another stream" in lidar
+
+
+@pytest.mark.parametrize(
+    ("told", "sigma_s", "ignored", "remark"),
+    [
+        ({}, np.nan, False, "Not checked against another stream: how good its stamps are was not measured."),
+        ({"sigma_lag_s": 0.003}, 0.003, False, ""),
+        ({"sigma_lag_s": 0.003, "resolution_s": 0.012}, np.sqrt(9e-6 + 12e-6), False, ""),
+        (
+            {"lag_s": -0.004, "sigma_lag_s": 0.003, "lag_significant": True, "lag_against": "ins"},
+            0.005,
+            True,
+            "Late by -4.0 ms against ins: not corrected.",
+        ),
+        ({"synchronised": False, "sigma_lag_s": 0.003}, np.nan, False, "Never on GPS time: not used."),
+        ({"sigma_lag_s": 0.003, "unsynchronised_s": 2.04}, 0.003, False, "2.0 s without GPS time."),
+    ],
+)
+def test_a_row_of_the_report_by_hand(told, sigma_s, ignored, remark):
+    """A unit of the stamps of 12 ms scatters by the root of a twelfth; a lag that stays adds to its sigma."""
+    record = {"stream": "ins", "format": "ANPP", "time_scale": "gps", "synchronised": True, "jitter_s": 1e-4}
+    row = _stream_row(record | told, Speeds(linear_mps=0.4, angular_radps=0.03), 10.0)
+    numbers = [
+        "offset",
+        "sigma_offset",
+        "jitter",
+        "sigma_jitter",
+        "resolution",
+        "lag",
+        "sigma_lag",
+        "sigma_time",
+    ]
+    expected = [np.nan, np.nan, 1e-4, np.nan]
+    expected += [told.get(f"{name}_s", np.nan) for name in ("resolution", "lag", "sigma_lag")]
+    assert_allclose([row[f"{name}_s"] for name in numbers], [*expected, sigma_s])
+    assert_allclose([row["cost_mm"], row["cost_if_ignored_mm"]], [500 * sigma_s, 2.0 if ignored else np.nan])
+    assert (row["remark"], row["range_m"], row["lag_significant"]) == (remark, 10.0, ignored)
+    assert row["lag_against"] == told.get("lag_against", "")
 
 
 def test_the_report_of_a_trigger_is_that_of_its_pulses():

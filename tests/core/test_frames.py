@@ -191,6 +191,14 @@ def test_grid_factors_against_finite_differences(lat, lon):
     assert np.sign(convergence) == np.sign(lon - 15.0)
 
 
+def test_the_first_place_outside_of_a_grid_is_named():
+    lat, lon = np.array([[51.0, 51.1], [-33.0, 52.0]]), np.array([[15.0, 15.1], [16.5, -75.0]])
+    with pytest.raises(
+        GeometryError, match=r"2 of 4 points .* the first at latitude -33\.0000, longitude 16\.5"
+    ):
+        _check_area_of_use(UTM, lat, lon)
+
+
 def test_headings_in_the_frame_and_in_the_grid():
     """A true heading is a direction in the frame; in the grid it is turned by the convergence."""
     heading = np.deg2rad(30.0)

@@ -14,6 +14,7 @@ from thalweg.core.values import (
     check_places,
     in_words,
     near_world,
+    places,
     unit_of_code,
     unit_of_letter,
     unit_of_word,
@@ -21,6 +22,7 @@ from thalweg.core.values import (
     utm_of,
     world_of,
 )
+from thalweg.core.values.places import _degrees, check_stated
 
 UTM = CRS("EPSG:32633")
 PLACES = np.array([[412000.0, 5650000.0], [412100.0, 5650100.0], [412030.0, 5650200.0]])
@@ -144,6 +146,27 @@ def test_limits_of_places():
     for xy in ([[13.7, 51.0], [13.8, 51.1]], [[51.0, 179.7], [51.0, 179.9]]):
         with pytest.raises(InputError, match="which look like degrees; expected metres"):
             check_degrees(np.array(xy), where="a", cure="b")
+
+
+def test_the_whole_of_a_file_is_asked_whether_it_is_where_it_states(monkeypatch):
+    """One in two of 2000 points is looked at; a single first or last one does not decide."""
+    asked = []
+    monkeypatch.setattr(places, "check_places", lambda xy, *_, **__: asked.append(xy))
+    points = np.tile([412_000.0, 5_650_000.0, 100.0], (2000, 1))
+    points[:, 0] += np.arange(2000)
+    check_stated(points, UTM, where="a")
+    assert asked[0].tolist() == points[::2, :2].tolist()
+    check_stated(points - [412_000.0, 5_650_000.0, 0.0], UTM, where="a")
+    assert len(asked) == 1
+
+
+def test_where_nobody_uses_a_map():
+    """Beside the origin, or farther than 450 km from the meridian of a zone of UTM."""
+    xy = np.array([[999.0, 999.0], [999.0, 1001.0], [949_000.0, 5.0], [951_000.0, 5.0], [60_000.0, 5e6]])
+    lon, lat = _degrees(xy, UTM)
+    assert np.isnan(lon).tolist() == np.isnan(lat).tolist() == [True, True, False, True, False]
+    lambert = CRS("EPSG:2154")
+    assert np.isnan(_degrees(xy, lambert)[0]).tolist() == [True, False, False, False, False]
 
 
 def test_coordinates_in_three_forms_are_the_same_place():

@@ -1,6 +1,7 @@
 """An epoch from cloud and trajectory: its groups of errors together are the covariance of each point."""
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from thalweg.core import (
     write_chains,
 )
 from thalweg.deformation import Epoch, ErrorField, check_order, prepare_epoch
+from thalweg.deformation.epochs import _rates
 from thalweg.deformation.m3c2 import ColumnIndex
 from thalweg.lidar import CORRELATION_DIMENSIONS, CORRELATIONS, SIGMAS, georeference_points
 from thalweg.lidar.cloud import EXTRA_DIMENSIONS
@@ -275,3 +277,11 @@ def test_bad_epochs_are_refused(survey, tmp_path):
         writer.append(np.zeros((3, 3)), t_gps_s=np.full(3, 1e9))
     with pytest.raises(InputError, match=r"no sigma_east, corr_east_up.*georeferencing.correlations"):
         prepared((bare, *survey[1:]))
+
+
+def test_the_boat_moves_and_turns_as_between_the_poses_around():
+    """At a node as in the next step, at the last one as before."""
+    rates = np.arange(9.0).reshape(3, 3), -np.arange(9.0).reshape(3, 3)
+    trajectory = SimpleNamespace(t_gps_s=np.array([0.0, 1.0, 3.0, 4.0]), rates=lambda: rates)
+    found = _rates(trajectory, np.array([0.5, 1.0, 2.9, 3.5, 4.0]))
+    np.testing.assert_array_equal(found, np.array(rates)[:, [0, 1, 1, 2, 2]])

@@ -36,6 +36,7 @@ from thalweg.deformation import (
     register_pair,
     series_of_epochs,
 )
+from thalweg.deformation.core_points import CORE_POINTS
 from thalweg.deformation.foreign import (
     ForeignEpoch,
     check_epoch_files,
@@ -45,6 +46,7 @@ from thalweg.deformation.foreign import (
     prepare_foreign_epoch,
     read_epoch,
 )
+from thalweg.deformation.foreign.differences import _as_cores
 from thalweg.deformation.m3c2 import ColumnIndex
 from thalweg.settings.sections import Deformation, Epoch
 from thalweg.surface import Area
@@ -444,3 +446,12 @@ def test_the_march_survey_of_the_beach_is_flagged_by_a_campaign(data_dir):
     assert jump.before_m == pytest.approx(0.13, abs=0.03)
     assert jump.after_m == pytest.approx(-0.18, abs=0.03)
     assert found.misclosure.largest_m < 1e-9  # all distances are along the same normals
+
+
+def test_cells_of_models_are_core_points_that_look_up():
+    table = _as_cores(np.array([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]), 0.5).fillna(-1)
+    assert list(table.columns) == CORE_POINTS.names
+    assert table.to_numpy().tolist() == [
+        [0, 1, 1, 2, 3, 0, 0, 1, -1, 0.25, 0],
+        [1, 1, 4, 5, 6, 0, 0, 1, -1, 0.25, 0],
+    ]

@@ -2,7 +2,9 @@
 
 import re
 import time
+from types import SimpleNamespace
 
+import geopandas
 import numpy as np
 import pandas as pd
 import pytest
@@ -11,11 +13,11 @@ from scipy.spatial.distance import cdist
 
 from tests.fusion.conftest import DEPTH_M, FRAME, GRID, HALF_WIDTH_M, LEVEL_UP_M, bed_up_m
 from thalweg.bathymetry import REASONS, FlowLine
-from thalweg.core import CoverageError, Trajectory, utc_text_from_gps
+from thalweg.core import CoverageError, Grid, Trajectory, utc_text_from_gps
 from thalweg.core.values import describe_layers, read_vectors
 from thalweg.fusion import Dtm, River, map_of_campaign
-from thalweg.fusion.exports import contour_lines, write_bag, write_csv, write_hecras, write_swmm
-from thalweg.fusion.maps import _CONTOURS, _contours, _track
+from thalweg.fusion.exports import contour_lines, export_river, write_bag, write_csv, write_hecras, write_swmm
+from thalweg.fusion.maps import _CONTOURS, _contours, _track, map_of_bed
 from thalweg.fusion.measures import (
     correlated_sigma,
     cut_sections,
@@ -276,6 +278,29 @@ def test_patches_of_change_are_points(tmp_path):
     # nothing has changed: a file without a row all the same
     map_of_campaign(tmp_path / "none.gpkg", [], [], [], [], [], [], files[1:], MAP, SETTINGS)
     assert [(of["name"], of["n"]) for of in describe_layers(tmp_path / "none.gpkg")] == [("changes_b_c", 0)]
+
+
+def test_without_sections_their_files_are_not_written(river, tmp_path):
+    facts = export_river(tmp_path, None, river, [], Fusion(exports=["hecras", "swmm"]))
+    assert facts == {"not_written": dict.fromkeys(["hecras", "swmm"], "no cross section"), "written": []}
+
+
+def test_a_map_of_a_bed_has_its_soundings_and_banks_by_side(tmp_path):
+    grid = Grid(west_m=0.0, north_m=40.0, cell_m=4.0, rows=10, columns=12, crs=GRID)
+    banks = pd.DataFrame({"side": ["left", "right"] * 3, "s_m": [20, 20, 0, 0, 10, 10]})
+    banks = banks.assign(east_m=banks["s_m"], north_m=[30, 5] * 3)
+    water = SimpleNamespace(line=None, area=None, banks=SimpleNamespace(table=banks))
+    soundings = SimpleNamespace(
+        places_m=[[3.0, 7.0], [9.0, 11.0]], height_m=[91.0, 92.0], sigma_m=0.1, line=[3, 4]
+    )
+    found = SimpleNamespace(bed=SimpleNamespace(grid=grid, up_m=np.arange(120.0)), water=water)
+    map_of_bed(tmp_path / "bed.gpkg", found, soundings)
+    points, sides = (geopandas.read_file(tmp_path / "bed.gpkg", layer=of) for of in ("soundings", "banks"))
+    assert [p.coords[0] for p in points.geometry] == [(3.0, 7.0, 91.0), (9.0, 11.0, 92.0)]
+    assert points[["sigma", "line"]].to_numpy().tolist() == [[0.1, 3], [0.1, 4]]
+    assert sides["side"].tolist() == ["left", "right"]
+    for line, n in zip(sides.geometry, (30.0, 5.0), strict=True):
+        assert list(line.coords) == [(0.0, n), (10.0, n), (20.0, n)]
 
 
 def test_a_bag_is_read_by_gdal(model, tmp_path):

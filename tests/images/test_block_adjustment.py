@@ -1,6 +1,7 @@
 """The block adjustment against a dense one, finite differences, and truth."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from tests.bands import band
 from tests.images import block_scene
 from thalweg.core import GeometryError, UnobservableError
 from thalweg.images.bundle import AdjustedBlock
-from thalweg.images.bundle.adjustment import adjust_block, adjusted_cameras, control_result, repeated
+from thalweg.images.bundle.adjustment import _flat, adjust_block, adjusted_cameras, control_result, repeated
 from thalweg.images.bundle.normals import Correlation, linearised, reduced_system, tracks_of, views
 from thalweg.images.bundle.problem import Antenna, Layout, Problem, State, moved, start_state
 from thalweg.images.model import ControlMarks, ControlPoints
@@ -345,3 +346,16 @@ def test_a_check_point_is_suspect_beyond_three_degrees_of_freedom():
     found = control_result(replace(adjusted, x=moved_points))
     np.testing.assert_allclose(found.test[checks], limit * np.array([0.99, 1.01]), rtol=1e-9)
     assert found.suspect[checks].tolist() == [False, True]
+
+
+def test_points_whose_rays_are_next_to_parallel_are_flat():
+    """Two or three cameras, rays 0.9 and 1.1 degrees apart, where 1 is wanted; one without marks."""
+    degrees = np.array([-0.45, 0.45, -0.55, 0.55])
+    C = 10.0 * np.column_stack([np.sin(np.radians(degrees)), np.cos(np.radians(degrees)), np.zeros(4)])
+    block = SimpleNamespace(
+        mark_point=np.array([0, 0, 1, 1, 3, 3, 3]),
+        mark_image=np.array([0, 1, 2, 3, 2, 3, 3]),
+        points_block_m=np.zeros((4, 3)),
+    )
+    flat = _flat(SimpleNamespace(block=block), SimpleNamespace(X=np.zeros((4, 3)), C=C), 1.0)
+    assert flat.tolist() == [True, False, True, False]

@@ -1,13 +1,22 @@
 """Control points that put a block where the boat was not, and what is said of it."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from tests.images import block_scene
 from thalweg.core import GeometryError, LocalFrame, exp_rotation
-from thalweg.images.bundle.checks import Expected, check_attitudes, check_datum, check_start, fitted_in_time
+from thalweg.images.bundle import checks
+from thalweg.images.bundle.checks import (
+    Expected,
+    check_attitudes,
+    check_datum,
+    check_start,
+    fitted_in_time,
+    interior_notes,
+)
 from thalweg.images.bundle.problem import Problem
 from thalweg.images.bundle.run import orient_block
 from thalweg.images.model import ControlPoints, ImagePoses, Similarity
@@ -178,3 +187,22 @@ def test_an_interior_orientation_of_another_camera(survey):
             known=replace(known, parameters=longer),
             **options,
         )
+
+
+def test_what_the_images_pull_away_from_a_calibration_by_hand(monkeypatch):
+    """Five sigmas of the principal point are told, three are not, nor what has no sigma or no weight."""
+    own = block_scene.scene(np.random.default_rng(1), images=3, points=20)[0].block.cameras[0]
+    n = len(own.parameters)
+    own = replace(own, name="SLR", cov=np.diag(np.r_[0.0, 4.0, 4.0, 1.0, np.zeros(n - 4)]))
+    off = np.r_[9.0, -6.0, -10.0, 4.0, np.full(n - 4, 0.1)]
+    seen = [replace(own, parameters=own.parameters + f * off) for f in (1.0, 0.75, 2.0)]
+    monkeypatch.setattr(checks, "adjusted_cameras", lambda _: seen)
+    monkeypatch.setattr(checks, "_place_notes", lambda _: ["place"])
+    found = SimpleNamespace(problem=SimpleNamespace(weighted=[True, True, False]))
+    name = own.parameter_names[2]
+    assert interior_notes(found, own) == [
+        "place",
+        f"The images pull {name} 5.0 sigmas away from the calibration of SLR (-10): is it that of this "
+        "camera, focus and zoom?",
+    ]
+    assert interior_notes(found, None) == ["place"]

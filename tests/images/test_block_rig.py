@@ -1,6 +1,7 @@
 """A rig of two lenses in a block: a pose for each exposure, places of lenses weighted by a calibration."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -8,11 +9,13 @@ import pytest
 from scipy.stats import chi2
 
 from tests.images.block_scene import dense
+from tests.images.test_block_pieces import predictions_of
 from thalweg.calibration import LENSES, Rig
-from thalweg.core import GeometryError, LocalFrame, Rigid
+from thalweg.core import GeometryError, LocalFrame, Rigid, exp_rotation
 from thalweg.images.bundle import adjust_block, pose_covariance, rig_frames
 from thalweg.images.bundle.adjustment import FEW_MARKS, image_poses
 from thalweg.images.bundle.checks import interior_notes
+from thalweg.images.bundle.job import _places
 from thalweg.images.bundle.normals import Correlation, linearised, reduced_system, tracks_of, views
 from thalweg.images.bundle.problem import Antenna, Layout, Problem, moved, start_state
 from thalweg.settings.sections import BlockAdjustment, Rig as RigSettings
@@ -146,6 +149,14 @@ def test_places_of_lenses_are_found_by_the_block_if_asked():
     error = found.x.T_rig_lens[1].error_from(true)
     square = error @ np.linalg.solve(found.cov[np.ix_(at, at)], error)
     assert chi2.ppf(0.0005, 6) < square < chi2.ppf(0.9995, 6)
+    sigma = np.sqrt(np.diag(found.cov)[at])
+    assert _places(found) == {
+        "back": {
+            "shift_m": found.x.T_rig_lens[1].shift_m.tolist(),
+            "sigma_shift_m": sigma[:3].tolist(),
+            "sigma_rotation_deg": pytest.approx(sigma[3:] * 180 / np.pi),
+        }
+    }
     # what a calibration says narrows it
     weighted = plain_block(problem)
     assert (np.diag(weighted.cov)[at] < np.diag(found.cov)[at]).all()
@@ -182,6 +193,38 @@ def test_exposures_come_out_as_poses_of_the_front_lens():
     k = found.layout.exposures.index("002.jpg")
     j = found.layout.exposures.index("003.jpg")
     np.testing.assert_array_equal(following, pose_covariance(found)[6 * k : 6 * k + 6, 6 * j : 6 * j + 6])
+
+
+def test_poses_of_lenses_have_the_covariance_of_their_exposures(rng):
+    """A turn of the boat moves a lens by its arm: against differences of an independent formula."""
+    T = (
+        Rigid(R=np.eye(3), shift_m=np.zeros(3)),
+        Rigid(R=exp_rotation([0.1, 2.0, 0.3]), shift_m=[0.3, -0.2, 1.0]),
+    )
+    root = rng.normal(size=(32, 6, 6))
+    truth = SimpleNamespace(C=rng.normal(size=(32, 3)), R=exp_rotation(rng.normal(size=(32, 3))))
+    poses = replace(
+        predictions_of(truth), cov_pose_wcs=root @ np.swapaxes(root, 1, 2), oriented=np.arange(32) != 1
+    )
+    frames = replace(
+        block(3)[0].rig, exposures=("0001.jpg", "0000.jpg"), exposure=np.array([1, 0, 0]), T_rig_lens=T
+    )
+    found = frames.lens_poses(poses, ("b/0", "a/1", "b/1"), np.array([1, 0, 1]))
+    assert found.images == ("b/0", "a/1", "b/1")
+    for k, (row, lens) in enumerate([(0, 1), (1, 0), (1, 1)]):
+        R, C = poses.R_wcs_ccs[row], poses.centre_wcs_m[row]
+        np.testing.assert_allclose(found.centre_wcs_m[k], C + R @ T[lens].shift_m)
+        np.testing.assert_allclose(found.R_wcs_ccs[k], R @ T[lens].R)
+        J = np.eye(6)
+        for a in range(3):
+            J[:3, 3 + a] = (exp_rotation(1e-6 * np.eye(3)[a]) @ R - R) @ T[lens].shift_m / 1e-6
+        np.testing.assert_allclose(
+            found.cov_pose_wcs[k], J @ poses.cov_pose_wcs[row] @ J.T, rtol=1e-4, atol=1e-5
+        )
+        assert found.t_gps_s[k] == poses.t_gps_s[row]
+    assert found.oriented.tolist() == [True, False, False]
+    assert np.isnan(found.cov_next).all(axis=(1, 2)).tolist() == [False, True, True]
+    assert not found.cov_next[0].any()
 
 
 def test_an_antenna_holds_the_pose_of_the_rig_once():

@@ -9,12 +9,14 @@ import pytest
 
 from tests.bands import band
 from tests.images import block_scene
-from thalweg.core import GeometryError, LocalFrame, Rigid, exp_rotation
-from thalweg.images.bundle import Boat, adjust_campaign, marks_of_campaign, pose_covariance, summary_text
+from thalweg.core import GeometryError, InputError, LocalFrame, Rigid, exp_rotation
+from thalweg.images import Measured
+from thalweg.images.bundle import Boat, adjust_campaign, job, marks_of_campaign, pose_covariance, summary_text
 from thalweg.images.bundle.adjustment import image_poses
 from thalweg.images.bundle.job import check_statistics, control_table, facts_of, image_table, mark_rows
 from thalweg.images.bundle.problem import Problem, antenna_at_images, antenna_lever_ccs
 from thalweg.images.bundle.run import orient_block
+from thalweg.images.control import CameraPositions
 from thalweg.images.model import ControlMarks, ControlPoints, ImagePoses
 from thalweg.settings.sections import BlockAdjustment, ControlSettings
 
@@ -314,3 +316,57 @@ def test_without_control_points_nothing_is_measured(survey):
     off = marks_of_campaign(problem.block, problem.control, predictions_of(truth), section, **options)
     assert len(off.table) == 0
     assert "detect is false" in off.notes[0]
+
+
+def test_boards_are_looked_for_in_the_block_that_lies_in_the_world(survey, monkeypatch):
+    """Where predictions put it, decimetres off; fewer than three points that are found are told."""
+    problem, truth = survey
+    given: list = []
+    rows = pd.DataFrame({"used": [1, 1, 1, 0], "point": ["a", "b", "c", "d"]})
+
+    def measured(*words):
+        given[:] = words
+        return Measured(table=rows, counts={"used": 3}, notes=["seen"])
+
+    monkeypatch.setattr(job, "measure_boards", measured)
+    section = ControlSettings(search_m=2.0)
+    options = {"tables": [], "grey": "grey", "mask": "mask"}
+    words = model_frame(problem), problem.control, predictions_of(truth), section
+    found = marks_of_campaign(*words, **options)
+    placed, control, *rest = given
+    assert rest == [section, "grey", "mask"]
+    assert control is problem.control
+    assert np.linalg.norm(placed.centre_block_m - truth.C, axis=1).max() < 0.8
+    assert (found.table is rows, found.counts) == (True, {"used": 3})
+    assert found.notes[-1] == "seen"
+    rows["used"] = [1, 1, 0, 0]
+    told = marks_of_campaign(*words, **options).notes[-1]
+    assert told.startswith("Of 14 control points fewer than 3 were found. They are looked for within 6 m of")
+
+
+def test_measured_positions_of_cameras_belong_to_their_images():
+    """In another order, by names with and without a suffix; of others they are refused."""
+    centres = CameraPositions(
+        images=("c", "a.jpg"), centre_wcs_m=np.array([[3.0, 4, 5], [6, 7, 8]]), sigma_m=0.1 + np.eye(3)[:2]
+    )
+    names = ("a.jpg", "b.jpg", "c.jpg", "d.jpg")
+    antenna, facts = job._measured_centres(("d.jpg", "a.jpg", "b.jpg", "c.jpg"), centres, names)
+    assert facts == {"source": "positions of the camera", "used": 2, "given": 2}
+    assert antenna.image.tolist() == [1, 3]
+    assert antenna.position_wcs_m.tolist() == [[6, 7, 8], [3, 4, 5]]
+    assert antenna.sigma_m.tolist() == [[0.1, 1.1, 0.1], [1.1, 0.1, 0.1]]
+    assert not antenna.lever_ccs_m.any()
+    with pytest.raises(InputError, match="x and 1 more images that do not"):
+        job._measured_centres(names, replace(centres, images=("x", "y")), names)
+
+
+def test_facts_of_a_model_have_its_own_unit():
+    sigmas = {"east": 1500.0, "north": 2.0, "up": 30.0}
+    facts = {"sigma_position_mm": sigmas, "sigma_rotation_mdeg": dict(sigmas), "notes": ["n"], "sigma0": 1.5}
+    assert job._of_a_model(facts, "held") == {
+        "model_frame": {"datum": "held", "scale": "unknown"},
+        "sigma_position_model": {"x": 1.5, "y": 0.002, "z": 0.03},
+        "sigma_rotation_mdeg": {"x": 1500.0, "y": 2.0, "z": 30.0},
+        "notes": ["Model frame, no scale: held. All standard deviations are relative to these", "n"],
+        "sigma0": 1.5,
+    }

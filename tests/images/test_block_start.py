@@ -1,11 +1,13 @@
 """The similarity that puts a block into the world, and what it says of wrong points."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from thalweg.core import GeometryError, exp_rotation
 from thalweg.images.model import ControlPoints, check_place, nearest_to_rays, robust_similarity
-from thalweg.images.model.block import spread_share
+from thalweg.images.model.block import comparable, spread_share, start_from_positions
 
 NAMES = tuple(f"P{k}" for k in range(9))
 
@@ -88,3 +90,25 @@ def test_one_wrong_ray_does_not_move_the_point():
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     np.testing.assert_allclose(nearest_to_rays(centres, rays), target, atol=1e-9)
     assert np.isnan(nearest_to_rays(centres[:2], np.tile([[0.0, 1, 0]], (2, 1)))).all()
+
+
+@pytest.mark.parametrize(("extent_m", "tolerance_m"), [(10.0, 2.0), (500.0, 15.0)])
+def test_cameras_agree_within_a_share_of_their_extent(monkeypatch, extent_m, tolerance_m):
+    """3 % of the diagonal, at least 2 m."""
+    given = []
+    monkeypatch.setattr(
+        "thalweg.images.model.block.robust_similarity", lambda *words, **more: given.append((words, more))
+    )
+    block = SimpleNamespace(centre_block_m=np.arange(9.0).reshape(3, 3), images=("a", "b", "c"))
+    places = extent_m * np.array([[0.0, 0.6, 0.0], [0.8, 0.0, 0.0]])
+    start_from_positions(block, np.array([2, 0]), places)
+    ((a, b, names), more) = given[0]
+    assert (a.tolist(), names) == ([[6.0, 7, 8], [0, 1, 2]], ["c", "a"])
+    assert b is places
+    assert more == {"what": "camera positions", "tolerance_m": pytest.approx(tolerance_m)}
+
+
+def test_images_without_a_whole_prediction_are_not_compared():
+    centre = np.array([[1.0, 2, 3], [1, np.nan, 3], [np.nan] * 3, [1, 2, 3]])
+    given = SimpleNamespace(oriented=np.array([True, True, True, False]), centre_wcs_m=centre)
+    assert comparable(given).tolist() == [True, False, False, False]

@@ -1,5 +1,7 @@
 """Boards found in rendered pictures where roughly known poses predict them."""
 
+from types import SimpleNamespace
+
 import cv2
 import numpy as np
 import pytest
@@ -8,6 +10,7 @@ from tests.images import block_scene
 from thalweg.core import Camera, GeometryError, exp_rotation
 from thalweg.images import COLUMNS, Measured, measure_boards
 from thalweg.images.bundle import grey_loader, mask_loader
+from thalweg.images.control import _correlate
 from thalweg.images.model import ControlPoints, ImageBlock
 from thalweg.settings.sections import ControlSettings
 
@@ -195,3 +198,27 @@ def test_pictures_and_masks_are_found_by_name(tmp_path):
         assert (mask == value).all()
     assert masks("e.jpg") is None
     assert mask_loader(None)("a.jpg") is None
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_a_crossing_in_a_window_that_holds_its_template(turned):
+    """A board seen askew: its template is wider than high, as is the picture, or both the other way round."""
+    y, x = np.mgrid[:26, :220] + 0.5
+    picture = np.where((x - 90.5) * (y - 13.5) > 0, 220, 30).astype(np.uint8)
+    sight = SimpleNamespace(
+        xy=np.array([91.0, 13.0]),
+        by_module=np.diag([40.0, 5.0]),
+        reach_px=3.0,
+        found=[],
+        reason="",
+        score=0.0,
+    )
+    if turned:
+        picture, sight.xy, sight.by_module = picture.T, sight.xy[::-1], np.diag([5.0, 40.0])
+    _correlate(picture, sight, BOARD)
+    (score, place, sign) = sight.found[0]
+    assert (score, sign, sight.reason) == (sight.score, 1, "")
+    assert np.abs(place - ([13.5, 90.5] if turned else [90.5, 13.5])).max() <= 1.0
+    sight.found = []
+    _correlate(picture[:3, :3], sight, BOARD)
+    assert (sight.found, sight.reason) == ([], "at the edge of the image")

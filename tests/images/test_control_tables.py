@@ -169,6 +169,10 @@ def test_metashape_markers(tmp_path):
     assert marks.point.tolist() == [0, 0, 1]
     np.testing.assert_allclose(marks.xy_px[0], [1200.25, 800.5])
     assert dropped == {"placed by the program, not by a person": 1, "in images without a pose": 1}
+    for known, other in (('marker marker_id="1"', 'marker marker_id="7"'), ('"1" pinned', '"7" pinned')):
+        path = write(tmp_path, "other.xml", METASHAPE.format(*grid).replace(known, other))
+        with pytest.raises(InputError, match=r"a mark of camera \d and marker \d; expected both in the file"):
+            match(path)
 
 
 def test_opendronemap_counts_from_the_centre_of_the_first_pixel(tmp_path):

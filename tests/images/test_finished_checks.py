@@ -26,7 +26,7 @@ from tests.images.finished_scene import (
     write_colmap_text,
     write_metashape,
 )
-from thalweg.core import InputError, exp_rotation
+from thalweg.core import GeometryError, InputError, exp_rotation
 from thalweg.images.imports import import_orientations
 from thalweg.images.model import align, mean_rotation, unknown_poses
 
@@ -233,6 +233,11 @@ def test_a_straight_track_is_aligned_by_its_attitudes(rng):
     found = align((C - 5.0) @ R / 3.0, R.T @ track.R, C, track.R, 0.1, 0.01)
     np.testing.assert_allclose(found.centre_wcs_m, C, atol=1e-9)
     np.testing.assert_allclose(found.R, R, atol=1e-9)
+    # predictions without errors have at least 1 cm and 0.1 mrad
+    sure = align((C - 5.0) @ R / 3.0, R.T @ track.R, C, track.R, 0.0, 0.0)
+    np.testing.assert_allclose(sure.centre_wcs_m, C, atol=1e-9)
+    with pytest.raises(GeometryError, match=r"predictions good to 0\.01 m"):
+        align(C[:2], track.R[:2], C[:2], track.R[:2], 0.0, 0.0)
     # two outliers of eight in the predictions hardly move it: weights fall with the distance
     wrong = C.copy()
     wrong[[2, 5]] += [0.0, 8.0, 3.0]

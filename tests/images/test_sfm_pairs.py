@@ -1,10 +1,14 @@
 """Order of images and the pairs that are compared."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
-from thalweg.core import GeometryError
-from thalweg.images.sfm.matching import image_pairs, order_in_time
+from thalweg.core import Camera, GeometryError
+from thalweg.images.sfm.colmap import StartCamera
+from thalweg.images.sfm.mapping import _components, _elsewhere, firm_parts
+from thalweg.images.sfm.matching import _named, image_pairs, order_in_time
 from thalweg.settings.sections import MappingSettings
 
 NAMES = ["img_2.jpg", "img_10.jpg", "img_1.jpg", "img_3.jpg"]
@@ -30,6 +34,8 @@ def test_an_image_without_time_stands_behind_its_name():
     order, notes = order_in_time(NAMES, np.array([np.nan, 5.0, 10.0, 30.0]))
     assert [NAMES[k] for k in order] == ["img_10.jpg", "img_1.jpg", "img_2.jpg", "img_3.jpg"]
     assert notes[0] == "1 images without time, such as img_2.jpg, are placed by their names"
+    order, _ = order_in_time(NAMES, np.array([np.nan, 30.0, 10.0, 5.0]))
+    assert [NAMES[k] for k in order] == ["img_3.jpg", "img_1.jpg", "img_2.jpg", "img_10.jpg"]
     assert order_in_time(NAMES, np.full(4, np.nan))[1] == []
 
 
@@ -77,3 +83,51 @@ def test_pairs_by_position_need_positions():
         GeometryError, match=r"no image has an approximate position.*sequential or exhaustive"
     ):
         image_pairs(np.arange(5), MappingSettings(pairs="spatial"), np.full((5, 3), np.nan))
+
+
+def test_equal_times_follow_the_names():
+    order, notes = order_in_time(NAMES, np.array([10.0, 10.5, 10.0, 10.0]))
+    assert [NAMES[k] for k in order] == ["img_1.jpg", "img_2.jpg", "img_3.jpg", "img_10.jpg"]
+    assert notes == []
+
+
+def test_names_of_cameras_are_their_own():
+    camera = Camera(model="perspective", size_px=(9, 9), parameters=np.ones(9), name="given")
+    start = StartCamera(camera=camera, lens="", known=True, source="")
+    groups = [SimpleNamespace(name="GoPro"), SimpleNamespace(name="phone")]
+    assert _named(start, 1, groups, ["phone", "phone_2"], given=True).camera.name == "phone_3"
+    assert _named(start, 0, groups[1:], [], given=True).camera.name == "given"
+    assert _named(start, 0, groups[1:], [], given=False).camera.name == "phone"
+
+
+def test_groups_of_joined_images_the_largest_first():
+    assert _components(8, np.array([[6, 7], [2, 1], [3, 2], [4, 5]])).tolist() == [-1, 0, 0, 0, 1, 1, 2, 2]
+
+
+def test_parts_that_share_enough_points_by_hand():
+    """Images 0 and 1 share two points, 1 and 2 one; without marks a block is one part."""
+    block = SimpleNamespace(
+        images=("a", "b", "c"),
+        mark_image=np.array([0, 1, 0, 1, 1, 2]),
+        mark_point=np.array([0, 0, 1, 1, 2, 2]),
+        points_block_m=np.zeros((3, 3)),
+    )
+    for least, parts in ((1, [[0, 1, 2]]), (2, [[0, 1], [2]]), (3, [[0], [1], [2]])):
+        assert [part.tolist() for part in firm_parts(block, least)] == parts
+    block.mark_image = np.zeros(0, np.int64)
+    assert [part.tolist() for part in firm_parts(block, 1)] == [[0, 1, 2]]
+
+
+def test_an_image_of_another_piece_is_told_the_pair_that_is_closest_to_joining_it():
+    """Pairs within a piece, or with a third one, have more points and do not count."""
+    pairs = np.array([[0, 1], [2, 3], [1, 2], [0, 3], [1, 4], [2, 4]])
+    matches = SimpleNamespace(
+        pictures=[SimpleNamespace(name=name) for name in "abcde"],
+        pairs=pairs,
+        n_common=np.array([90, 80, 5, 7, 60, 70]),
+    )
+    mapped = SimpleNamespace(pieces=[SimpleNamespace(images="ab"), SimpleNamespace(images="cd")])
+    piece, head = np.array([0, 0, 1, 1, 2]), "in piece 1 of 2 images, oriented apart from the main block; "
+    assert _elsewhere(matches, mapped, piece, 1) == head + "closest pair across: a with d, 7 points"
+    matches.n_common[2:4] = 0
+    assert _elsewhere(matches, mapped, piece, 1) == head + "no common points with the main block"

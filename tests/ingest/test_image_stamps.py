@@ -12,7 +12,7 @@ from thalweg.core import ClockError, InputError, gps_from_unix, read_table, writ
 from thalweg.ingest import explain_shift
 from thalweg.ingest.photos import IMAGE_STAMPS, list_images, read_head, read_image_stamps
 from thalweg.ingest.photos.exif import CivilStamp, offset_seconds, stamp_from_exif
-from thalweg.ingest.photos.stamps import compile_pattern, read_time_table, stamp_from_name
+from thalweg.ingest.photos.stamps import _stamp, compile_pattern, read_time_table, stamp_from_name
 
 UNIX = 1_620_808_267  # 2021-05-12T08:31:07Z
 T0 = float(gps_from_unix(UNIX))
@@ -192,6 +192,22 @@ def test_a_hole_is_a_gap_with_the_number_of_images(tmp_path):
     assert (gap.duration_s, gap.lost) == (4.0, 3)
 
 
+@pytest.mark.parametrize(
+    ("text", "form", "fraction", "resolution", "offset"),
+    [
+        (f"{UNIX}.25", "unix_s", 0.25, 0.01, 0.0),
+        (f"{UNIX},75", "unix_s", 0.75, 0.01, 0.0),
+        (f"{UNIX}", "unix_s", 0.0, 1.0, 0.0),
+        (f"{T0 + 0.5}", "t_gps_s", 0.5, 0.1, 0.0),
+        ("2021-05-12T08:31:07.125+02:00", "time_utc", 0.125, 0.001, 7200.0),
+    ],
+)
+def test_a_time_of_a_table_by_hand(text, form, fraction, resolution, offset):
+    found = _stamp(text, form, "a")
+    numbers = (found.second_s, found.fraction_s, found.resolution_s, found.utc_offset_s)
+    assert numbers == pytest.approx((UNIX, fraction, resolution, offset), abs=3e-7)
+
+
 def test_a_table_of_times(tmp_path):
     for name in ("a.jpg", "b.jpg", "c.jpg"):
         photo(tmp_path / name)
@@ -201,9 +217,6 @@ def test_a_table_of_times(tmp_path):
     found = read_image_stamps(list_images(tmp_path), times=tmp_path / "times.csv")
     assert_allclose(found.table["t_device_s"][:2], [T0 + 0.125, T0 + 1.5], atol=3e-7)
     assert found.report.losses == {"table_rows_without_image": 1, "images_without_time": 1}
-    (tmp_path / "gps.csv").write_text(f"file;t_gps_s\na.jpg;{T0 + 0.5}\n")
-    stamp = read_time_table(tmp_path / "gps.csv")["a.jpg"]
-    assert stamp.shown_s == pytest.approx(UNIX + 0.5, abs=3e-7)
 
 
 @pytest.mark.parametrize(

@@ -112,7 +112,15 @@ def test_a_track_in_gpx(tmp_path):
         assert table["fix"].tolist() == ["dgnss" if more else "single"] * 2
         assert table["n_sats"].tolist() == [9, -1]
         assert report.losses == {"track_points_without_time": 1}
-        assert any("standard deviations" in note for note in report.notes)
+        assert report.notes == [
+            *(
+                []
+                if more
+                else ["Heights of GPX are above the geoid, and the file does not say how high that is."]
+            ),
+            "GPX states no standard deviations: orientation.sigma_position_m says them.",
+            "Only tracks are read, not the 1 waypoints.",
+        ]
 
 
 @pytest.mark.parametrize(

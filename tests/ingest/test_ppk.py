@@ -2,6 +2,7 @@
 
 import struct
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -11,7 +12,7 @@ from tests.ingest.test_rinex import line
 from tests.ingest.writers import sbp
 from thalweg.core import ConfigError, InputError
 from thalweg.ingest import GNSS_POSITION
-from thalweg.ingest.ppk import PpkOptions, replace_covariances, run_ppk
+from thalweg.ingest.ppk import PpkOptions, replace_covariances, run_ppk, solution
 from thalweg.ingest.ppk.solution import PpkSolution, check_settings, run_worker, write_settings
 from thalweg.ingest.ppk.trust import SIGMA_FLOOR_M, covariance_enu, read_solution
 
@@ -122,6 +123,57 @@ def test_bad_input(tmp_path, files, options, fragment):
     assert fragment in str(caught.value)
     assert caught.value.where.startswith(str(tmp_path))
     assert caught.value.expected
+
+
+def test_what_damaged_files_lose_adds_up(tmp_path):
+    whole = observations(n=3)
+    (tmp_path / "a.obs").write_bytes(whole[:-20])
+    (tmp_path / "b.obs").write_bytes(observations(n=2)[:-20])
+    found = solution.PpkInputs()
+    solution._copy_rinex([tmp_path / "a.obs", tmp_path / "b.obs"], tmp_path, "rover", "obs", found)
+    assert dict(found.losses) == {"rover epochs_cut": 2}
+    assert found.bytes_read == len(whole) + len(observations(n=2)) - 40
+    assert [note.split(":")[1] for note in found.notes] == [
+        f" damaged or cut records were left out of {name}.obs" for name in "ab"
+    ]
+    assert len((tmp_path / "rover_000.obs").read_bytes()) < len(whole) - 20
+
+
+@pytest.mark.parametrize(("fix", "again"), [(("fixed", "float"), True), (("float", "float"), False)])
+def test_fixes_are_judged_by_a_solution_without_them(monkeypatch, fix, again):
+    """Also where some epochs are fixed alone; one that has none is its own."""
+    asked: list[tuple[str, bool]] = []
+    judged: list[pd.DataFrame] = []
+
+    def solve(_folder, _inputs, options, *, single, **_):
+        asked.append((options.ambiguity, single))
+        table = pd.DataFrame(
+            {"fix": fix if options.ambiguity != "off" else ("float", "float"), "h_ell_m": 1.0}
+        )
+        return SimpleNamespace(positions=table, residuals=None, answer=None)
+
+    def trusted(positions, floats, *_, **__):
+        judged.extend((positions, floats))
+        raise ZeroDivisionError
+
+    for name, value in {
+        "prepare_inputs": lambda *_, **__: None,
+        "preflight": lambda *_: [],
+        "_base_position": lambda *_: (np.array(BASE), []),
+        "_check_base": lambda *_: (0.0, []),
+        "_solve": solve,
+        "_places": lambda table: np.zeros((len(table), 3)),
+        "replace_covariances": lambda table: (table, 0),
+        "phase_factor": lambda _: 1.0,
+        "code_factors": lambda _: None,
+        "trust_fixes": trusted,
+    }.items():
+        monkeypatch.setattr(solution, name, value)
+    with pytest.raises(ZeroDivisionError):
+        run_ppk([Path("a.obs")], [Path("b.obs")], [], OPTIONS)
+    usual = OPTIONS.ambiguity
+    assert asked == [(usual, True), (usual, False), *([("off", False)] if again else [])]
+    assert [table["fix"].tolist() for table in judged] == [list(fix), ["float", "float"]]
 
 
 def test_no_files_and_missing_file(tmp_path):

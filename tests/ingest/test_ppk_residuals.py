@@ -48,6 +48,20 @@ def test_phase_factor_needs_thirty_fixed_epochs():
     assert phase_factor(residuals(*np.zeros((2, 40, 12)), fixed=False)) == 1.0
 
 
+def test_phase_factor_of_a_single_value_to_spare():
+    """Of 4 satellites nothing is left beside mean and place; a fifth, 5 mm off, leaves 20 mm2."""
+    n = np.full(30, 4)
+    n[7] = 5
+    table = pd.DataFrame(
+        {"t_gps_s": np.repeat(np.arange(30.0), n), "group": "G1", "weight": 0.25, "fixed": True}
+    )
+    table["phase_m"] = 0.0
+    table.loc[32, "phase_m"] = 0.005
+    assert table["t_gps_s"][32] == 7.0
+    assert phase_factor(table) == pytest.approx(0.25 * 20e-6 / PHASE_M**2)
+    assert phase_factor(table.drop(index=32)) == 1.0
+
+
 def test_code_factors_tell_what_averages_out_from_what_stays():
     """New in each epoch: the same for all means. Half of the variance constant: half (1 + k) of it."""
     rng = np.random.default_rng(13)

@@ -236,8 +236,10 @@ def test_points_have_their_own_times(bag):
     reader, scan = bag.lidar()
     assert (scan.n_points, scan.report.counts["shots_without_return"]) == (6, 3)
     assert not any("no times of their own" in note for note in scan.report.notes)
-    block = next(reader.points(scan.clock))
-    assert block.t_gps_s - float(gps_from_unix(UNIX_S)) == pytest.approx([0.05, -0.05], abs=1e-6)
+    assert reader.length_s() == pytest.approx(0.2)
+    for clock in (None, scan.clock):
+        block = next(reader.points(clock))
+        assert block.t_gps_s - float(gps_from_unix(UNIX_S)) == pytest.approx([0.05, -0.05], abs=1e-6)
     # right, forward, up
     assert block.xyz_scs_m.tolist() == [[0, 10, 1], [-5, 0, 2]]
     assert block.azimuth_rad.tolist() == pytest.approx([0.0, 1.5 * np.pi])

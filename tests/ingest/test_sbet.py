@@ -120,6 +120,18 @@ def test_times_with_their_date_need_no_week(tmp_path, zero):
     assert any("hold the date" in note for note in log.report.notes)
 
 
+@pytest.mark.parametrize(("last_s", "asked"), [(86_400.0, True), (86_401.0, False)])
+def test_times_of_the_first_day_of_a_week_may_be_those_of_any_day(tmp_path, last_s, asked):
+    first = records()
+    first[:, 0] += last_s - first[-1, 0]
+    log = read_sbet([write(tmp_path / "a.out", first)], WEEK)
+    assert any("do they count the day" in note for note in log.report.notes) == asked
+    first[:, 0] += gps_from_week(WEEK, 0.0)
+    assert not any(
+        "do they" in note for note in read_sbet([write(tmp_path / "b.out", first)], None).report.notes
+    )
+
+
 def test_utc_seconds(tmp_path):
     path = write(tmp_path / "a.out", records())
     gps, utc = (read_sbet([path], WEEK, utc=u).states["t_gps_s"] for u in (False, True))

@@ -75,6 +75,8 @@ def test_few_pairs_give_an_offset_only_and_none_nothing():
     assert fit.offset_s == 0.5
     assert np.isnan([fit.sigma_offset_s, fit.drift_ppm, fit.sigma_drift_ppm]).all()
     assert fit_clock([np.nan], [1.0]) is None
+    assert np.isnan(fit_clock([5.0] * 5, [5.5] * 5).drift_ppm)
+    assert fit_clock([0.0, *[5.0] * 5], [0.5, *[5.5 + 1e-5] * 5]).drift_ppm == pytest.approx(2.0)
 
 
 def test_times_without_gps_are_placed_beside_their_neighbours():
@@ -213,5 +215,8 @@ def test_times_against_the_scale_that_their_file_states():
     assert "unstated GPS week" in time_contradiction(295_218 + np.arange(9.0), "adjusted_s")
     assert "adjusted standard" in time_contradiction(adjusted, "week_s")
     assert "adjusted standard" in time_contradiction(adjusted, "unix_s")  # of 1982
-    assert time_contradiction(604_790 + np.arange(30.0), "week_s") == ""  # runs on behind the week
+    # runs on behind the week, or the day, for another one
+    for scale, second in (("week_s", 604_800.0), ("day_s", 86_400.0)):
+        assert time_contradiction(2 * second + np.arange(-9.0, 1.0), scale) == ""
+        assert time_contradiction(2 * second + np.arange(9.0, 39.0), scale) != ""
     assert "none was recorded" in time_contradiction(np.zeros(5), "adjusted_s")

@@ -1,5 +1,6 @@
 """Tables as people and programs write them: what is read, what is asked, what is counted."""
 
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from tests.conftest import check_whole, time_limit
 from thalweg.core import InputError
 from thalweg.core.values import FOOT, US_SURVEY_FOOT, is_nothing
 from thalweg.ingest import column_of, read_text_table
+from thalweg.ingest.tables import _refuse_decimal_commas
 
 UTM = CRS("EPSG:32633")
 PLACES = np.array([[412000.0, 5650000.0], [412100.0, 5650100.0], [412030.0, 5650200.0]])
@@ -122,6 +124,24 @@ def test_what_cannot_be_told_is_asked(case, tmp_path):
         places_and_depths(path)
     assert words in str(caught.value)
     check_whole(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("rows", "refused"),
+    [
+        (["1,05,2,07", "3,00,4,10"], True),
+        (["1,05,2,07", "3,00,4"], False),  # of uneven rows nobody knows
+        (["1,5,2,7", "3,6,4,8"], False),  # four numbers without a zero in front
+        (["1,05", "3,00"], False),
+        (["x,y", "1,5,2,7", "1,5,2,8"], True),  # twice as many as names
+        (["x,y", "1,5", "1,5,2,8", "1,2"], False),  # one row is not most of them
+        (["a,b,c,d", *["1,05,2,07"] * 4], True),
+        (["a,b,c,d", "w,x,y,z", *["1,05,2,07"] * 4], False),  # less than four fifths are numbers
+    ],
+)
+def test_decimal_commas_between_commas(rows, refused):
+    with pytest.raises(InputError, match="decimal commas") if refused else nullcontext():
+        _refuse_decimal_commas(rows, Path("a.csv"))
 
 
 def test_latin_1_is_read_and_said(tmp_path):

@@ -55,6 +55,9 @@ def test_a_fix_is_refused_beyond_three_sigmas_of_three_coordinates(east_m, refus
     out, trust = judged(positions(60, "fixed", 0.01, east_m), positions(60, "float", 0.1), 0.0)
     assert trust.refused["float"] == refused
     assert (out["fix"] == "float").sum() == refused
+    # where one epoch has no float position, the others tell
+    less = judged(positions(60, "fixed", 0.01, east_m), positions(60, "float", 0.1).drop(index=30), 0.0)[1]
+    assert less.refused["float"] == refused
     expected = LON if refused else LON + east_m * DEG_OF_EAST
     assert out["lon_deg"].to_numpy() == pytest.approx(expected, abs=1e-12)
 

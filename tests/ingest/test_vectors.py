@@ -218,6 +218,8 @@ def test_a_layer_or_rows_by_name(tmp_path):
         read_vectors(f"{path}?layer=banks,width=7")
     with pytest.raises(InputError, match="COLUMN=VALUE"):
         read_vectors(f"{path}?layer")
+    with pytest.raises(InputError, match="COLUMN=VALUE"):
+        read_vectors(f"{path}?layer=banks,day")
 
 
 def broken(folder: Path) -> dict[Path, str]:

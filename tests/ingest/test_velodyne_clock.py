@@ -2,6 +2,7 @@
 
 import json
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from tests.ingest import test_velodyne_log as log
 from tests.ingest.writers import nmea
 from thalweg.core import gps_from_unix
 from thalweg.ingest import LidarClock
-from thalweg.ingest.velodyne.clock import parse_rmc
+from thalweg.ingest.velodyne.clock import ClockBuilder, parse_rmc
 from thalweg.ingest.velodyne.reader import iter_points, scan_lidar
 
 HOUR = 1_700_000_000 // 3600 * 3600
@@ -218,6 +219,19 @@ def test_lock_is_not_taken_for_granted_over_a_long_hole(tmp_path, hole_s, known)
     assert np.isfinite(gps[100:110]).all() == known
     assert np.isnan(gps[110:]).all()
     assert scan.report.losses["unsynchronised_packets"] == (90 if known else 100)
+
+
+def test_holes_in_the_data_are_no_silence(monkeypatch):
+    """A hole of 20 s and a jump of the clock on locking, 30 s after the last report: 4 s without one."""
+    monkeypatch.setattr(ClockBuilder, "_lock", lambda *_: None)
+    builder = ClockBuilder(last_report_t_us=1_000_000, unconfirmed_from=-1)
+    builder._push(SimpleNamespace(first_packet=0, t_us=np.zeros(9, np.int64)), 0, math.nan, "")
+    block = SimpleNamespace(first_packet=0, t_us=np.arange(9) * 1_000_000)
+    builder._hole(block, 3, 20.0)
+    builder.pending_s = 5.0
+    builder._hole(block, 6, 6.0)
+    assert builder.silence_s(31_000_000) == pytest.approx(4.0)
+    assert (builder.clock_set, builder.jumps) == ({6}, [(3, 20.0)])
 
 
 def test_sentence_that_is_damaged_stale_or_without_fix(times_of):

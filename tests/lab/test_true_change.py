@@ -14,6 +14,7 @@ from thalweg.surface import Area
 from thalweg_lab.changes import Patch
 from thalweg_lab.river import BOX_FACES, Material, MeshParts, Scene, boxes
 from thalweg_lab.truth import (
+    change,
     judge_differences,
     judge_places,
     judge_polygons,
@@ -255,8 +256,14 @@ def test_differences_of_heights_are_held_against_the_truth():
     assert rows["height_normalised_square_changed"][1] >= inner.sum()
 
 
-def test_true_changes_are_written_from_scenes(tmp_path):
-    """Ground that rises by 20 cm from the first epoch to the second; no outline has changed."""
+@pytest.mark.parametrize("own", [5, None, 9])
+def test_true_changes_are_written_from_scenes(own, tmp_path, monkeypatch):
+    """Ground that rises by 20 cm from the first epoch to the second; no outline has changed.
+
+    The ground is of its own seed, else of the first campaign's.
+    """
+    seeds = []
+    monkeypatch.setattr(change, "change_outlines", lambda *of: seeds.append(of[2]) or {})
     before, after = scene(cells=4), scene(0.2, cells=4)
     before.write(tmp_path / "1.npz")
     after.write(tmp_path / "2.npz")
@@ -264,11 +271,12 @@ def test_true_changes_are_written_from_scenes(tmp_path):
         scenes=[tmp_path / "1.npz", tmp_path / "2.npz"],
         points=tmp_path / "points.parquet",
         polygons=tmp_path / "polygons.csv",
-        settings=[{"seed": 5}, {"seed": 5}],
+        settings=[{"seed": own}, {"seed": own}],
         seeds=[5, 6],
         campaign={"origin": {"lat_deg": 51.05, "lon_deg": 13.25, "h_ell_m": 300.0}, "crs": "EPSG:25833"},
         deformation=Deformation(cylinder_radius_m=0.5, reach_m=2.0),
     )
+    assert seeds == [own or 5]
     table, _ = read_table(tmp_path / "points.parquet", POINTS)
     assert len(table) == 1600
     assert table["distance_m"].to_numpy() == pytest.approx(0.2, abs=1e-6)

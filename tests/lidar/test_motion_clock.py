@@ -149,7 +149,10 @@ def test_the_part_of_the_attitudes_is_that_of_a_swinging_error():
     )
     expected = sigma / np.sqrt(w * (amplitude * w) ** 2 / 2 * 100.0)
     # rates over 0.3 s lose 1.3 % of their size, and the ends of the span
-    assert attitude_share_s(trajectory, 0.0, 100.0) == pytest.approx(expected, rel=0.03)
+    # poses of the span alone, and no others than there are
+    for first_s, last_s, used_s in ((0.0, 100.0, 100.0), (-50.0, 150.0, 100.0), (30.0, 55.0, 25.0)):
+        share_s = attitude_share_s(trajectory, first_s, last_s)
+        assert share_s == pytest.approx(expected * np.sqrt(100.0 / used_s), rel=0.03)
 
 
 def test_sentences_without_pps(voyage):

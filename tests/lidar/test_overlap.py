@@ -289,7 +289,7 @@ def test_white_noise_comes_with_the_positions_and_else_with_the_nodes(monkeypatc
     """Nodes every 0.1 s, positions every 0.5 s."""
     asked = {}
     monkeypatch.setattr(overlap, "sample_log", lambda *_: [])
-    monkeypatch.setattr(overlap, "estimate_pose_errors", lambda *_, **how: asked.update(how))
+    monkeypatch.setattr(overlap, "estimate_pose_errors", lambda *of, **how: asked.update(how, of=of))
     settings = {
         "estimate": True,
         "white_share": 0.25,
@@ -310,6 +310,9 @@ def test_white_noise_comes_with_the_positions_and_else_with_the_nodes(monkeypatc
             settings=settings,
         )
         assert asked["epoch_s"] == pytest.approx(step_s)
+        trajectory, windows = survey(1)[1], asked["of"][1]
+        nodes = trajectory.t_gps_s[trajectory.valid]
+        assert [windows[0][0], sum(windows[-1])] == pytest.approx(nodes[[0, -1]].tolist(), abs=1e-9)
 
 
 def test_an_uncertain_mount_is_not_taken_for_errors_of_the_poses():

@@ -262,6 +262,9 @@ def test_weights_are_those_of_the_scatter_and_of_roughness_in_common(inside):
     expected = np.sqrt([variance[plane] * (1 / count + 0.05) for (plane, _), count in n.items()])
     kept = np.isin(n.index.get_level_values("plane"), seen.owner)
     np.testing.assert_allclose(seen.sigma, expected[kept], rtol=1e-3)
+    np.testing.assert_allclose(seen.root_weight(), 1 / seen.sigma)
+    seen.robust, seen.factors = np.full(len(seen.sigma), 0.25), np.arange(1.0, 1.0 + len(strips.GROUPS))
+    np.testing.assert_allclose(seen.root_weight(), 0.5 / seen.sigma / (1 + seen.group))
 
 
 def test_residuals_are_divided_by_what_their_plane_leaves_of_them(inside):

@@ -110,6 +110,7 @@ def test_an_image_without_a_line_is_counted_and_told(basin, tmp_path, caplog):
     assert set(points["file"]) == {good.name}
     assert counts["points"].dtype == np.int64
     assert counts["points"].tolist() == [0, len(points), 0]
+    assert (counts.drop(columns=["file", "reason"]).loc[[0, 2]] == 0).all(axis=None)
     assert "no laser line" in counts["reason"][0]
     assert "over-exposed" in counts["reason"][2]
     assert "dark.png gives no points" in caplog.text

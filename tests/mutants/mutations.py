@@ -10,7 +10,7 @@ assertions, what stands behind ``raise`` or goes to the log, arguments that chan
 `zip`, tolerances for rounding, which triangle is factorised), folders that are made or may be there (without
 it a job stops, and no number changes), rounds of an iteration beyond those that it needs, one more point on a
 grid that is searched, which random numbers are drawn, -2 for -1 where a number stands for none, sizes of what
-is held in memory at once, and guards against a division by zero.
+is held in memory at once, what fills an array without elements, and guards against a division by zero.
 """
 
 import ast
@@ -145,6 +145,7 @@ IDLE_FLAGS: Final = {
     "optimize",
     "hermitian",
     "use_gpu",
+    "num_threads",
     "print_summary",
     "extract_colors",
 }
@@ -335,7 +336,7 @@ def _kinds(node: ast.AST) -> Iterator[str]:
             yield "constant"
         case ast.Call(func=func, args=args):
             name = _name(func)
-            if name in FUNCTIONS:
+            if name in FUNCTIONS and not (name in {"zeros", "ones"} and _without_elements(args)):
                 yield "function"
             if name == "sqrt" and len(args) == 1:
                 yield "root"
@@ -344,6 +345,14 @@ def _kinds(node: ast.AST) -> Iterator[str]:
                 yield "arguments"
         case _:
             return
+
+
+def _without_elements(args: list[ast.expr]) -> bool:
+    """Whether an array of this shape has no elements, so that ones in it are zeros."""
+    sizes = args[0].elts if args and isinstance(args[0], ast.Tuple) else args[:1]
+    return any(
+        isinstance(size, ast.Constant) and type(size.value) is int and not size.value for size in sizes
+    )
 
 
 def _quadratic(left: ast.expr, right: ast.expr) -> bool:

@@ -50,6 +50,11 @@ def test_every_module_with_numbers_has_tests_that_answer(run, repository):
         ("x = t * 1e-9\n", 2),
         ("path.mkdir(parents=True, exist_ok=True)\n", 0),
         ("options.use_gpu = False\n", 0),
+        ("options.num_threads = max(1, n)\n", 0),
+        ("x = np.zeros((0, 2), np.int64)\n", 1),  # arguments swapped, but not ones
+        ("x = np.ones(0)\n", 0),
+        ("x = np.zeros((n, 3))\n", 1),  # ones
+        ("x = max(0, n)\n", 2),  # min, 1
         ("x = pd.concat(parts, ignore_index=True)\n", 0),
         ("x = connected_components(m, directed=False)\n", 0),
         ("x = minimum(m, directed=False)\n", 2),  # maximum, True

@@ -9,6 +9,7 @@ from thalweg.core import CoverageError, GeometryError
 from thalweg.navigation.ins_gnss.interpolation import (
     CUBIC,
     LINEAR,
+    InterpolationError,
     _from_second_differences,
     bridge_factor,
     bridge_with_velocity,
@@ -495,3 +496,22 @@ def test_what_linear_interpolation_misses_of_a_parabola():
     none = _from_second_differences(values, [slice(0, 2)], 1.0)
     assert none.variances_m2.shape == (1, 3)
     assert np.isnan(none.variances_m2).all()
+
+
+def test_the_variance_between_and_beyond_the_spacings_by_hand():
+    """Straight in the logarithms; with the order below and above, at least a proportional error above."""
+    error = InterpolationError(
+        spacings_s=np.array([0.2, 0.8]),
+        variances_m2=np.array([[1e-4, 1e-6, 0.0], [16e-4, 1e-6, 1e-8]]),
+        order=np.array([2.0, 0.5, 4.0]),
+        noise_m2=np.zeros(3),
+        n_residuals=np.array([9, 9]),
+    )
+    expected = [
+        [1e-4 / 2**4, 1e-6 / 2, 1e-12 / 2**8],
+        [1e-4, 1e-6, 1e-12],
+        [4e-4, 1e-6, 1e-10],
+        [16e-4, 1e-6, 1e-8],
+        [16e-4 * 2**4, 1e-6 * 2**2, 1e-8 * 2**8],
+    ]
+    np.testing.assert_allclose(error.variance_m2([0.1, 0.2, 0.4, 0.8, 1.6]), expected, rtol=1e-9)

@@ -31,6 +31,7 @@ from thalweg.panorama import (
     place_rig_files,
     rig_photographs,
 )
+from thalweg.panorama.files import write_panorama
 from thalweg.settings.sections import Colour, Panorama, Rig as RigSettings
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=200.0)
@@ -163,12 +164,9 @@ def test_panoramas_are_placed_levelled_and_tagged(survey, tmp_path):
     assert 0.1 < row["ranged"] < 0.5
     with Image.open(tmp_path / "pictures" / "R20210512_103100000.jpg") as file:
         picture = np.asarray(file).astype(float)
-        xmp, gps = file.info["xmp"], file.getexif().get_ifd(0x8825)
+        xmp = file.info["xmp"]
     assert b'GPano:ProjectionType="equirectangular"' in xmp
     assert b'GPano:FullPanoWidthPixels="480"' in xmp
-    assert float(gps[2][0]) + float(gps[2][1]) / 60 + float(gps[2][2]) / 3600 == pytest.approx(
-        51.05, abs=1e-6
-    )
     # each wall where it stands: north ahead, east to the right, south behind, west to the left
     for name, direction in {
         "north": (0, 0, 1),
@@ -284,3 +282,22 @@ def test_gaps_of_a_cloud_take_the_nearer_border_and_the_rest_is_far():
     # overhead there is nothing within reach of a gap
     assert np.isinf(filled[2]).all()
     assert (filled <= ranges).all()
+
+
+def test_places_in_all_quarters_of_the_earth_and_below_its_ellipsoid(tmp_path):
+    """EXIF 2.3: letters and three fractions of latitude and longitude, 1 for heights below zero."""
+    picture = np.zeros((8, 16, 3), np.uint8)
+    for llh, north, east, below in (
+        ([51.5, 13.25, 200.1234], "N", "E", 0),
+        ([-33.125, -70.75, -3.5], "S", "W", 1),
+    ):
+        time = float(gps_from_unix(START.timestamp()))
+        write_panorama(
+            tmp_path / "a.jpg", picture, heading_deg=-90.0, llh=np.array(llh), t_gps_s=time, quality=90
+        )
+        with Image.open(tmp_path / "a.jpg") as file:
+            gps = file.getexif().get_ifd(0x8825)
+        assert (gps[1], gps[3], int.from_bytes(gps[5])) == (north, east, below)
+        for tag, value in ((2, llh[0]), (4, llh[1])):
+            assert gps[tag][0] + gps[tag][1] / 60 + gps[tag][2] / 3600 == pytest.approx(abs(value))
+        assert float(gps[6]) == pytest.approx(abs(llh[2]), abs=6e-4)

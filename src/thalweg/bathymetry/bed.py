@@ -289,7 +289,7 @@ def cells_of_river(
     # a side without any shore ends where the data end; one with gaps has no bed there
     for width, across in ((left, n), (right, -n)):
         if np.isfinite(width).any():
-            inside &= (across <= 0) | (across <= np.nan_to_num(width, nan=-1.0))
+            inside &= (across <= 0) | (across <= width)
     for corners in settings.islands:
         island = Area(polygon_en_m=np.asarray(corners, dtype=np.float64))
         inside &= ~island.contains(np.column_stack([places, np.zeros(len(places))]))

@@ -537,9 +537,9 @@ def _turning(trajectory: Trajectory, t: ArrayF, limit_deg_per_s: float) -> Array
     """Whether the boat turned faster than the limit, over two seconds about each time (n,)."""
     first, last = trajectory.span()
     low, high = np.clip(t - _COURSE_S / 2, first, last), np.clip(t + _COURSE_S / 2, first, last)
-    ahead = [trajectory.at(each)[1][:, :2, 0] for each in (low, high)]
-    angle = [np.arctan2(a[:, 1], a[:, 0]) for a in ahead]
-    turned = np.abs((angle[1] - angle[0] + np.pi) % (2 * np.pi) - np.pi)
+    # headings as complex numbers: the angle between two of them is that of a quotient
+    before, after = (trajectory.at(each)[1][:, :2, 0] @ [1, 1j] for each in (low, high))
+    turned = np.abs(np.angle(after * np.conj(before)))
     return np.asarray(np.rad2deg(turned) / np.maximum(high - low, 1e-3) > limit_deg_per_s)
 
 

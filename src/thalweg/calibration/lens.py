@@ -342,7 +342,7 @@ def _start(
         focal = max(size_px) / 2 / (half if model == "fisheye" else np.tan(half))
         camera = nominal_camera("lens", model, size_px, float(focal))
         rays = camera.rays(xy)
-        R, t, off = np.tile(np.eye(3), (n, 1, 1)), np.zeros((n, 3)), np.full(n, np.inf)
+        R, t, off = np.full((n, 3, 3), np.nan), np.full((n, 3), np.nan), np.full(n, np.inf)
         for i in range(n):
             mine = image == i
             if mine.sum() >= LEAST_CORNERS and np.isfinite(rays[mine]).all():

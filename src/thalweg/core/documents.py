@@ -296,7 +296,7 @@ def did_you_mean(name: str, names: Iterable[str]) -> str:
     """
     known, word = list(names), str(name).lower()
     meant = [each for words, same in _MEANT.items() if word in words for each in same if each in known]
-    found = meant or difflib.get_close_matches(str(name), known, 1)
+    found = meant or difflib.get_close_matches(str(name), known)
     return f"Did you mean {found[0]}?" if found else ""
 
 

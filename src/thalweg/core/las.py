@@ -869,9 +869,9 @@ def whole_chunks(path: Path, layout: LazLayout) -> tuple[list[tuple[int, int]], 
         stated = struct.unpack("<q", stream.read(8).ljust(8, b"\0"))[0]
         stop = stated if layout.start < stated <= size else size
         at = layout.start + 8
-        while layout.layers and at + layout.record + 4 + 4 * layout.layers <= stop:
+        while layout.layers:
             points, length = _layered(stream, at, layout)
-            if not points or at + length > stop:
+            if not points or at + length > stop:  # no points: the file ends there
                 break
             table.append((points, length))
             at += length

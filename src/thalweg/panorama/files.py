@@ -65,10 +65,10 @@ def cloud_ranges(
     ----------
     xyz_wcs_m : the cloud.
     centre_wcs_m, R_wcs_pcs : place (3,) and attitude (3, 3) of the panorama.
-    cell_deg : width of a cell.
+    cell_deg : width of a cell; at most some degrees.
     reach_m : points farther away do not count.
     """
-    columns = 2 * max(2, round(180.0 / cell_deg))
+    columns = 2 * round(180.0 / cell_deg)
     local = (xyz_wcs_m - centre_wcs_m) @ R_wcs_pcs
     r = np.linalg.norm(local, axis=1)
     near = (r <= reach_m) & (r > _NEAREST_M)
@@ -404,7 +404,7 @@ def _range_maps(
             expected=f"that of the poses, {frame_in_words(frame)}",
             where=points,
         )
-    rows = max(2, round(180.0 / settings.cell_deg))
+    rows = round(180.0 / settings.cell_deg)
     maps = [np.full((rows, 2 * rows), np.inf) for _ in places]
     for chunk in iter_laz(points):
         for i, place in enumerate(places):

@@ -9,7 +9,7 @@ import pytest
 from tests.bands import band
 from thalweg.calibration.field import FieldPoints
 from thalweg.core import GeometryError, rotation_opk
-from thalweg.lightsheet.calibration.camera_over_window import camera_over_window
+from thalweg.lightsheet.calibration.camera_over_window import CameraOverWindow, camera_over_window
 from thalweg.lightsheet.optics import CAMERA, LENS, paper_4
 
 R_PCS_LCS = rotation_opk(0.4, -0.2, 1.1)
@@ -90,6 +90,20 @@ def test_exact_marks_give_the_pose(truth):
         np.linalg.norm(lcs[:, :2], axis=1), np.linalg.norm(exact[:, :2], axis=1), atol=1e-4
     )
     assert found.flatness_mm < 1e-6
+
+
+def test_the_facts_of_a_pose_are_in_millimetres_and_degrees():
+    found = CameraOverWindow(
+        origin_lcs_mm=np.array([1.0, 2.0, 3.0]), angles_rad=np.pi * np.array([0.5, 0.25, 1.0]),
+        cov=np.diag([4.0, 9.0, 16.0, *(np.pi * np.array([0.1, 0.2, 0.3])) ** 2]),
+        flatness_mm=0.02,
+        **dict.fromkeys(["cov_with_lens", "by_glass", "R_lcs_pcs", "shift_lcs_mm", "resected"]),
+    )  # fmt: skip
+    facts = found.facts()
+    assert list(facts["camera"]) == ["x_mm", "y_mm", "z_mm", "omega_deg", "phi_deg", "kappa_deg"]
+    told = [[one["value"], one["sigma"]] for one in facts["camera"].values()]
+    np.testing.assert_allclose(told, [[1, 2], [2, 3], [3, 4], [90, 18], [45, 36], [180, 54]])
+    assert facts["window_flatness_mm"] == 0.02
 
 
 def test_errors_are_as_large_as_their_sigmas(truth):

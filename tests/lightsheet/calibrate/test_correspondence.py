@@ -1,6 +1,8 @@
 """Levels, pieces and pairs from line points, with approximate values that are off."""
 
+from contextlib import nullcontext
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -16,6 +18,9 @@ from thalweg.lightsheet.calibration.correspondence import (
     OFF,
     SHORT,
     THICK,
+    Segment,
+    _fan_of_pieces,
+    _require_levels,
     correspond,
     levels_of_points,
 )
@@ -51,6 +56,8 @@ def test_pairs_lie_on_one_sub_beam(lines):
     sensor, grid = paper_4(), lines.grid_object()
     found = correspond(sensor, lines.line_points(sensor, grid, sigma_px=0.0), grid, SETTINGS)
     pairs = found.pairs
+    # ten and eight pieces
+    assert found.gaps == (9, 7)
     # seven gaps whose both ends are in the picture on both levels
     assert len(pairs.side) == 14
     assert sorted(pairs.side.tolist()) == [-1] * 7 + [1] * 7
@@ -82,6 +89,29 @@ def test_all_that_is_dropped_is_counted(lines):
     )
     # a stray point within half a millimetre of a level may stay: 2 levels, 1 mm of some 250 mm each
     assert on_level <= 3
+
+
+@pytest.mark.parametrize(
+    ("seen", "wet", "words"),
+    [
+        ((39, 1), 66, ""),  # a single point of few
+        ((98, 2), 100, ""),
+        ((99, 1), 100, r"seen on 1 of 2 levels: 99 on grid .* none on floor"),
+        ((40, 0), 40, r"seen on 1 of 2 levels: 40 on grid .* none on floor"),
+        ((39, 1), 67, r"only 40 of 67 line points"),
+    ],
+)
+def test_each_level_has_two_percent_of_the_points_and_one_at_least(lines, seen, wet, words):
+    level = np.repeat([0, 1, -1], [*seen, 5])
+    names = [SimpleNamespace(name=name, depth_mm=9.0) for name in ("grid", "floor")]
+    with pytest.raises(GeometryError, match=words) if words else nullcontext():
+        _require_levels(level, [], wet, SimpleNamespace(name="g", levels=names))
+
+
+def test_the_fan_angle_of_an_end_is_that_of_the_last_point_before_it():
+    segments = [Segment(level=0, rows=np.array([4, 0, 1])), Segment(level=1, rows=np.array([2, 3]))]
+    ends = SimpleNamespace(segment=np.array([1, 0, 0, 1]), side=np.array([1, -1, 1, -1]))
+    assert _fan_of_pieces(np.arange(5.0) / 10, segments, ends).tolist() == [0.3, 0.4, 0.1, 0.2]
 
 
 def test_a_thick_bar_drops_the_ends_that_its_lower_rim_shades(lines):

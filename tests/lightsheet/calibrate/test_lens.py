@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from thalweg.core import Camera, GeometryError, LocalFrame
 from thalweg.lightsheet.budget import budget_on_lines, budget_table
 from thalweg.lightsheet.budget.budget import point_budget
 from thalweg.lightsheet.calibration import NAME, calibrate_lens, lens_report, with_lens
-from thalweg.lightsheet.calibration.lens import LARGEST_SIGMA, LensCalibration, predicted
+from thalweg.lightsheet.calibration.lens import LARGEST_SIGMA, LensCalibration, bar_table, predicted
 from thalweg.lightsheet.optics import LENS, WINDOW, paper_4
 from thalweg_lab.tank.camera_field import build_marker_field, field_text, observe_field, stations
 
@@ -265,3 +266,20 @@ def test_the_limit_is_that_of_the_depth():
     xy = np.stack(np.meshgrid(np.linspace(100, 1900, 10), np.linspace(100, 1900, 10)), axis=-1).reshape(-1, 2)
     depth = point_budget(sensor.with_vector(sensor.vector(), cov=cov), xy).of("focal length")
     assert 0.08 < np.nanmax(depth) < 0.3
+
+
+def test_bars_of_which_one_end_was_not_measured_are_not_told():
+    at = np.array([[0.0, 0, 0], [0.3, 0.4, 0], [9.0, 9, 9]])
+    points = SimpleNamespace(points=((1, 0), (2, 3), (5, 1)), points_pcs=at)
+    scale = SimpleNamespace(used=np.array([True]), off_m=np.array([0.002]), sigma_off_m=np.array([0.001]))
+    bars = [
+        SimpleNamespace(name=f"{start} {end}", start=start, end=end, length_m=0.499)
+        for start, end in (("1/0", "7/0"), ("7/0", "5/1"), ("1/0", "2/3"))
+    ]
+    measured, field = SimpleNamespace(points=points, network=SimpleNamespace(scale=scale)), SimpleNamespace()
+    field.scale_bars = bars
+    (row,) = bar_table(measured, field).to_dict("records")
+    assert row == {
+        "name": "1/0 2/3", "stated_m": 0.499, "residual_mm": pytest.approx(1.0), "off_mm": 2.0,
+        "sigma_off_mm": 1.0, "used": True,
+    }  # fmt: skip

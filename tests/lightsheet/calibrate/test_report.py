@@ -1,6 +1,7 @@
 """Tables and JSON report of a calibration."""
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from thalweg.lightsheet.calibration.report import (
     residual_table,
     strong_correlations,
 )
+from thalweg.lightsheet.calibration.sheet_calibration import Factor, _warnings
 from thalweg.lightsheet.optics import paper_4
 
 
@@ -99,3 +101,36 @@ def test_the_report_is_plain_json_and_complete(found):
     for row in report["sigma_of_depth"]:
         # levels known beforehand shrink the gain of the correlations, from 4-10 times to 2.5 and more
         assert row["median_mm"] is None or row["median_uncorrelated_mm"] > 2 * row["median_mm"]
+
+
+def test_warnings_of_a_calibration_by_hand(found):
+    """Each beyond its limit, and none at it: 30 mm, 8 degrees, 60 % of pairs, three shared, 1.5 times."""
+    nominal = paper_4()
+    near = SimpleNamespace(lost=(), gaps=(5, 3))
+
+    def told(*, off_mm=29.0, lost=(), pairs=6, shared=3.0, line=1.5, ends=1.5):
+        sheet = nominal.sheet
+        moved = SimpleNamespace(
+            origin_lcs_mm=sheet.origin_lcs_mm + off_mm * np.eye(3)[1], R_lcs_las=sheet.R_lcs_las
+        )
+        factors = {LINE: Factor(of_scatter=line, shared=shared), PAIRS: Factor(of_scatter=ends)}
+        return _warnings(
+            nominal,
+            SimpleNamespace(sheet=moved),
+            SimpleNamespace(lost=lost, gaps=near.gaps),
+            SimpleNamespace(used={PAIRS: np.arange(20) < pairs}),
+            {LINE: 2.5, PAIRS: 3.5},
+            factors,
+        )
+
+    assert told(line=1.5 / np.sqrt(3)) == ()
+    for change, words in (
+        ({"off_mm": 31.0}, "the laser lies 31 mm and 0.0 degrees from"),
+        ({"lost": ("floor", "step")}, "hardly a line point is left on floor, step:"),
+        ({"pairs": 5}, "5 pairs of ends of about 10 that 5 gaps offer"),
+        ({"shared": 3.6}, "about 4 neighbouring line points share one error"),
+        ({"line": 1.6, "shared": 1.0}, "the line points scatter 2.50 times"),
+        ({"ends": 1.6}, "the ends of pieces scatter 3.50 times"),
+    ):
+        (note,) = told(**({"line": 0.8} | change))
+        assert note.startswith(words)

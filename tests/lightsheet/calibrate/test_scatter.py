@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
+from thalweg.lightsheet.calibration.model import _filled
 from thalweg.lightsheet.calibration.sheet_calibration import SPREAD, estimated_factor
 
 
@@ -36,3 +37,9 @@ def test_without_residuals_the_width_of_the_prior_counts():
 
 def test_shared_errors_multiply_the_variance():
     assert estimated_factor(1.0, 1e5, 9.0).value == pytest.approx(3.0, rel=1e-3)
+
+
+def test_variances_that_are_none_are_the_median_of_the_others():
+    given = np.array([4.0, np.nan, 1.0, 0.0, 9.0, np.inf, -2.0])
+    assert _filled(given).tolist() == [4.0, 4.0, 1.0, 4.0, 9.0, 4.0, 4.0]
+    assert _filled(np.array([np.nan, 0.0])).tolist() == [1.0, 1.0]

@@ -115,7 +115,10 @@ def test_a_known_shift_with_the_width_is_removed():
     straight = corrected - 100 - 0.05 * np.arange(n)
     assert abs(straight[white].mean() - straight[~white].mean()) < 0.1
     # nothing to learn from: too few edges
-    assert not width_shift(x, width, sigma, white, piece, edges[:2], np.ones(n, np.int64)).applied
+    few = width_shift(x, width, sigma, white, piece, edges[:2], np.ones(n, np.int64))
+    assert (few.coefficient, few.edges, few.applied) == (0.0, 2, False)
+    assert np.isnan(few.sigma)
+    assert few.usual_width_px == shift.usual_width_px
 
 
 def test_an_edge_is_no_speckle_and_no_new_piece():

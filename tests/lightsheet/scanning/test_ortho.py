@@ -2,13 +2,14 @@
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from thalweg.core import GeometryError, InputError
 from thalweg.lightsheet.lines import detect_lines
 from thalweg.lightsheet.optics import paper_4
 from thalweg.lightsheet.poses import SensorPoses
 from thalweg.lightsheet.scanning import merge, orthophoto, profile
-from thalweg.lightsheet.scanning.ortho import colours, height_grid
+from thalweg.lightsheet.scanning.ortho import HeightGrid, Orthophoto, colours, height_grid, write_orthophoto
 from thalweg_lab.random_numbers import generator
 from thalweg_lab.settings import SheetImage
 from thalweg_lab.tank import render_sheet_image, sized
@@ -90,3 +91,14 @@ def test_colours_of_each_kind_of_image():
     assert colours(np.dstack([mosaic] * 3)).shape == (8, 8, 3)
     with pytest.raises(InputError, match="layout 'xyz'"):
         colours(mosaic, "xyz")
+
+
+def test_a_world_file_has_the_centre_of_the_upper_left_cell(tmp_path):
+    """Three rows of 2 cm, the first one the lowest."""
+    grid = HeightGrid(x0_m=10.0, y0_m=-5.0, cell_m=0.02, height_m=np.zeros((3, 4)))
+    found = Orthophoto(grid=grid, dn=np.arange(36.0).reshape(3, 4, 3), images=np.ones((3, 4), int), counts={})
+    write_orthophoto(found, tmp_path / "a.png", tmp_path / "a.pgw")
+    numbers = [float(line) for line in (tmp_path / "a.pgw").read_text().split()]
+    assert numbers == pytest.approx([0.02, 0.0, 0.0, -0.02, 10.0, -4.96], abs=1e-9)
+    with Image.open(tmp_path / "a.png") as picture:
+        np.testing.assert_array_equal(np.asarray(picture), found.picture())

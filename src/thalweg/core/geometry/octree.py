@@ -11,7 +11,7 @@ part is sorted without the others. Cells that are larger than a part, of coarse 
 which one follows from counts. The tree is that of the whole cloud (`tests/lidar/test_copc.py`).
 """
 
-from bisect import bisect, insort
+from bisect import bisect, bisect_left, insort
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Final, TypeAlias
@@ -189,7 +189,7 @@ def _take_coarse(parts: list[Part]) -> None:
                 cells.setdefault(part.cube_at(level + CELLS_BITS), []).append(part)
         for inside in cells.values():
             begin, end = inside[0].begin, inside[-1].begin + inside[-1].n
-            before = taken[bisect(taken, begin - 1) : bisect(taken, end - 1)]
+            before = taken[bisect_left(taken, begin) : bisect_left(taken, end)]
             middle = begin + (end - begin - len(before)) // 2
             for place in before:
                 middle += place <= middle

@@ -154,7 +154,7 @@ def _explained(problem: Problem, null: ArrayF, scale: ArrayF) -> list[tuple[str,
         )
         length = float(np.linalg.norm(direction))
         inside = null.T @ (null @ direction)
-        if len(found) < len(null) and length > 0 and np.linalg.norm(inside - direction) < _EXPLAINED * length:
+        if len(found) < len(null) and np.linalg.norm(inside - direction) < _EXPLAINED * length:
             found.append((list(motions)[int(np.flatnonzero(np.abs(row) > _STILL)[0])], direction / length))
     return found
 
