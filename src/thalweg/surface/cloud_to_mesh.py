@@ -11,7 +11,7 @@ cannot be mended at the faces beside.
 """
 
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -588,7 +588,7 @@ def _nearest_face(
         here, at = child[size], level[size]
         if at == 0:
             for i in range(here * leaf, min((here + 1) * leaf, len(order))):
-                g = np.int64(order[i])
+                g: Any = np.int64(order[i])
                 d = _place(px, py, pz, vertices, faces, g)[0]
                 if d < best or (d == best and g < f):
                     best, f = d, g
