@@ -78,7 +78,7 @@ def test_the_reference_is_complete(pages, repository):
     doors = {path.parent for path in (repository / "src/thalweg").rglob("__init__.pyi")}
     assert sum(place.startswith("api/thalweg.") for place in pages) == len(doors) > 50
     assert "::: thalweg.lidar.cloud.georeference_log\n" in pages["api/thalweg.lidar.md"]
-    assert "`njit`: of numba" in pages["api/thalweg.core.md"]
+    assert "`prange`: of numba" in pages["api/thalweg.core.md"]
 
 
 def test_notebooks_are_shown_with_what_their_cells_give(pages):

@@ -1,11 +1,15 @@
 """`thalweg describe`: what a file is by its content, and what is said about it."""
 
+import json
 import os
 import struct
+import subprocess
+import sys
 
 import numpy as np
 import pytest
 
+from tests.ingest import test_velodyne_log as lidar
 from thalweg.cli import main
 from thalweg.core import InputError, UnsupportedError
 from thalweg.ingest.registry import describe, recognise
@@ -166,3 +170,35 @@ def test_what_follows_zeros_or_a_second_capture_is_not_lost(data_dir, tmp_path):
     # the packets of the second capture repeat the first's: read, and dropped as duplicates
     assert two.counts["points"] == whole
     assert two.losses["duplicate_packets"] == 293
+
+
+KERNELS = """
+import gc, json, sys
+from pathlib import Path
+from thalweg.ingest.registry import describe
+used = []
+for path in sys.argv[1:]:
+    describe(Path(path))
+    if "numba" in sys.modules:
+        from numba.core.dispatcher import Dispatcher
+        kernels = [each for each in gc.get_objects() if isinstance(each, Dispatcher) and each.signatures]
+        used.append([each.__name__ for each in kernels if each.__module__.startswith("thalweg")])
+print(json.dumps(used))
+"""
+
+
+def test_the_first_look_at_a_log_compiles_little(tmp_path):
+    """After an installation each kernel is compiled at its first call, in some tenths of a second. A
+    text was tried by those of ANPP and SBP, and 22 functions served a lidar: five seconds of a processor."""
+    text = tmp_path / "points.xyz"
+    text.write_text("".join(f"{i}.5 {2 * i}.25 100.0\n" for i in range(50)))
+    nmea = tmp_path / "soundings.nmea"
+    nmea.write_text("$SDDBT,9.8,f,3.0,M,1.6,F*03\r\n" * 9)
+    capture = lidar.save_data(tmp_path / "lidar.pcap", lidar.data_packets(lidar.times(100)))
+    out = subprocess.run(
+        [sys.executable, "-c", KERNELS, text, nmea, capture], check=True, capture_output=True, text=True
+    )
+    of_text, of_nmea, of_lidar = json.loads(out.stdout)
+    assert of_text == of_nmea == []
+    own = {"walk_pcap", "gather", "_headers", "_sequence", "count_points"}
+    assert set(of_lidar) - own <= {"_u32", "_seen", "_azimuths"}  # compiled with these, where none is kept

@@ -7,9 +7,11 @@ import subprocess
 import sys
 from collections.abc import Callable
 from functools import partial
+from types import SimpleNamespace
 
 import pytest
 import yaml
+from snakemake_executor_plugin_slurm import Executor
 
 import thalweg
 from thalweg.cli import main
@@ -33,6 +35,24 @@ def command(tmp_path, monkeypatch):
         (folder / name).chmod(0o755)
 
     return put
+
+
+@pytest.mark.parametrize(
+    ("array_jobs", "efficiency_report", "starts"), [(None, False, 1), ("all", False, 2), (None, True, 2)]
+)
+def test_a_job_starts_snakemake_once(monkeypatch, array_jobs, efficiency_report, starts):
+    """A second one, by `srun`, took as long again; arrays and the report of efficiency need it."""
+    monkeypatch.setattr(Executor, "additional_general_args", Executor.additional_general_args)
+    cluster.start_snakemake_once()
+    settings = SimpleNamespace(
+        array_jobs=array_jobs, efficiency_report=efficiency_report, pass_command_as_script=False
+    )
+    words = Executor.additional_general_args(
+        SimpleNamespace(workflow=SimpleNamespace(executor_settings=settings))
+    )
+    assert ("slurm-jobstep" in words) == (starts == 2)
+    # all that a job needs of the plugin stands before these words
+    assert words in ("", "--executor slurm-jobstep --jobs 1")
 
 
 PARTITIONS = (

@@ -22,6 +22,7 @@ from thalweg.workflow import (
     read_figures,
     refuse_shell,
     start_driver,
+    start_snakemake_once,
     tell_failures_last,
     use_scratch,
 )
@@ -69,6 +70,7 @@ if workflow.is_main_process or workflow.remote_exec:
     )
 
 if workflow.is_main_process and workflow.non_local_exec and not workflow.dryrun:
+    start_snakemake_once()
     given = workflow.resource_settings._parsed_default_resources
     check_cluster(
         given["slurm_partition"].value if "slurm_partition" in given else None,

@@ -11,7 +11,7 @@ cannot be mended at the faces beside.
 """
 
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -468,7 +468,7 @@ def _is_border_corner(faces: ArrayI, start: ArrayI, around: AnyArray, u: int) ->
     n = start[u + 1] - start[u]
     ahead, behind = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.int64)
     for i in range(n):
-        g = around[start[u] + i]
+        g = np.int64(around[start[u] + i])
         k = _corner_of(faces, g, u)
         ahead[i], behind[i] = faces[g, (k + 1) % 3], faces[g, (k + 2) % 3]
     ahead.sort()
@@ -487,7 +487,7 @@ def _edge_normal(
     x = y = z = weight = 0.0
     there = back = 0
     for i in range(start[u], start[u + 1]):
-        g = around[i]
+        g = np.int64(around[i])
         k = _corner_of(faces, g, u)
         ahead, behind = faces[g, (k + 1) % 3] == v, faces[g, (k + 2) % 3] == v
         if ahead or behind:
@@ -504,7 +504,7 @@ def _corner_normal(
     """Sum of the normals at a corner, each times the angle of its face there, and the sum of the angles."""
     x = y = z = weight = 0.0
     for i in range(start[u], start[u + 1]):
-        g = around[i]
+        g = np.int64(around[i])
         k = _corner_of(faces, g, u)
         b, c = faces[g, (k + 1) % 3], faces[g, (k + 2) % 3]
         px, py, pz = (
@@ -588,7 +588,7 @@ def _nearest_face(
         here, at = child[size], level[size]
         if at == 0:
             for i in range(here * leaf, min((here + 1) * leaf, len(order))):
-                g = order[i]
+                g: Any = np.int64(order[i])
                 d = _place(px, py, pz, vertices, faces, g)[0]
                 if d < best or (d == best and g < f):
                     best, f = d, g
@@ -639,7 +639,7 @@ def distances(
             np.empty(_STACK, dtype=np.int64),
             np.empty(8),
         )
-        f = 0
+        f = np.int64(0)  # of the type of all faces: with 0 each function below is compiled twice
         for j in range(block * _POINTS_OF_TASK, min((block + 1) * _POINTS_OF_TASK, n)):
             i = turn[j]
             px, py, pz = points[i, 0], points[i, 1], points[i, 2]

@@ -8,6 +8,7 @@ from .cluster import (
     living_driver as living_driver,
     refuse_shell as refuse_shell,
     start_driver as start_driver,
+    start_snakemake_once as start_snakemake_once,
     unfinished as unfinished,
 )
 from .codehash import code_version as code_version

@@ -11,11 +11,12 @@ import re
 import shutil
 import socket
 import subprocess
+import sys
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, TextIO
+from typing import Any, Final, TextIO
 
 from thalweg.core import UNFINISHED, InputError
 
@@ -199,6 +200,26 @@ def cures_in(log: str) -> list[str]:
     """What to do about refusals of SLURM that a log quotes, such as a limit met when a job is sent."""
     said = [line.lower() for line in log.splitlines() if _REFUSED in line]
     return [cure for words, cure in _CURES.items() if any(words.lower() in line for line in said)]
+
+
+def start_snakemake_once() -> None:
+    """From now on a job on SLURM runs in the Snakemake that its script starts.
+
+    By its plugin that one would start another by ``srun``, which does the work: a start more for nothing, as
+    a job of this workflow is one process on one node, and its script has all that SLURM gave it. Two settings
+    need the other way and keep it: arrays, which the first Snakemake deals out, and the report of efficiency,
+    which leaves out what a script itself has used.
+    """
+    plugin = sys.modules.get("snakemake_executor_plugin_slurm")  # loaded with the options of all plugins
+    if plugin is None:
+        return
+    twice = plugin.Executor.additional_general_args
+
+    def additional_general_args(executor: Any) -> str:
+        settings = executor.workflow.executor_settings
+        return twice(executor) if settings.array_jobs or settings.efficiency_report else ""
+
+    plugin.Executor.additional_general_args = additional_general_args
 
 
 def check_cluster(partition: str | None, *, minutes: int | None = None, cpus: int | None = None) -> None:

@@ -52,6 +52,8 @@ _TYPES: Final = {
     "float64": "f8",
 }
 _HEAD_BYTES: Final = 1 << 20
+_HUB: Final = 64
+"""Edges at the hub of a fan: more are sorted by numpy, as every one against every other would be slow."""
 
 
 @dataclass(slots=True)
@@ -131,7 +133,14 @@ class TriangleMesh:
         An edge of more than two faces counts as a border: its surface has no two sides there.
         """
         faces = np.ascontiguousarray(self.faces, dtype=np.int64)
-        return _neighbours(faces, len(self.vertices_m), NO_FACE)
+        start, edge, other = _edges(faces, len(self.vertices_m))
+        for v in np.flatnonzero(np.diff(start) > _HUB):
+            part = slice(start[v], start[v + 1])
+            order = np.argsort(other[part], kind="stable")
+            edge[part], other[part] = edge[part][order], other[part][order]
+        out = np.full(faces.shape, NO_FACE, dtype=np.int64)
+        _join(start, edge, other, out)
+        return out
 
     def border_faces(self) -> ArrayB:
         """Faces (m,) with at least one edge of their own alone, or shared by more than two."""
@@ -161,11 +170,11 @@ class TriangleMesh:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _neighbours(faces: ArrayI, n: int, no_face: int) -> ArrayI:
-    """Faces across each edge: edges are laid down at their lower corner, and partners looked for there.
+def _edges(faces: ArrayI, n: int) -> tuple[ArrayI, ArrayI, ArrayI]:
+    """Edges laid down at their lower corner: first of each corner, number of each edge, its other corner.
 
-    A corner has some six edges, so nothing needs to be sorted: 5 million faces take well below a second,
-    a sort of their 15 million edges several.
+    A corner has some six edges, so few need to be sorted: 5 million faces take well below a second, a sort of
+    their 15 million edges several.
     """
     m = len(faces)
     start = np.zeros(n + 1, dtype=np.int64)
@@ -182,14 +191,15 @@ def _neighbours(faces: ArrayI, n: int, no_face: int) -> ArrayI:
             at = fill[min(a, b)]
             edge[at], other[at] = 3 * f + k, max(a, b)
             fill[min(a, b)] += 1
-    out = np.full((m, 3), no_face, dtype=np.int64)
-    for v in range(n):
+    return start, edge, other
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _join(start: ArrayI, edge: ArrayI, other: ArrayI, out: ArrayI) -> None:
+    """Put the faces (m, 3) across each edge into ``out``: partners are looked for at the lower corner."""
+    for v in range(len(start) - 1):
         first, end = start[v], start[v + 1]
-        if end - first > 64:  # the hub of a fan: every edge against every other would be slow
-            order = np.argsort(other[first:end], kind="mergesort")
-            edge[first:end] = edge[first:end][order]
-            other[first:end] = other[first:end][order]
-        else:
+        if end - first <= _HUB:
             for i in range(first + 1, end):
                 e, o, j = edge[i], other[i], i - 1
                 while j >= first and other[j] > o:
@@ -205,7 +215,6 @@ def _neighbours(faces: ArrayI, n: int, no_face: int) -> ArrayI:
                 one, two = edge[i], edge[i + 1]
                 out[one // 3, one % 3], out[two // 3, two % 3] = two // 3, one // 3
             i = j
-    return out
 
 
 # ---------------------------------------------------------------- PLY files

@@ -9,5 +9,6 @@ from .stream import (
     find_in as find_in,
     find_sbp as find_sbp,
     gather as gather,
+    intact_bytes as intact_bytes,
     read_packets as read_packets,
 )

@@ -24,7 +24,7 @@ from typing import Any, Final
 
 import numpy as np
 import pandas as pd
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from thalweg.core import ArrayB, ArrayF, ArrayI, InputError, LocalFrame
 from thalweg.ingest import GNSS_POSITION
@@ -142,7 +142,7 @@ REFUSALS: Final = {
     "float": "the fix lies beyond three sigmas of the float solution",
 }
 """Why fixes are refused."""
-_THREE_SIGMA: Final = float(chi2.ppf(0.9973, 3))
+_THREE_SIGMA: Final = float(chdtri(3, 1 - 0.9973))
 _FLOAT_FLOOR_M: Final = np.array([0.05, 0.05, 0.10])
 """A float solution that has converged states less than multipath and atmosphere leave."""
 UNKNOWN_FACTOR: Final = 2.0

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from thalweg.core import AnyArray
 from thalweg.ingest import (
     HEAD_BYTES as HEAD_BYTES,
     CloudReader,
@@ -94,8 +93,8 @@ def find_format(formats: Sequence[Format], path: Path) -> Format | None:
     return best
 
 
-def framed_share(length: AnyArray, frame_bytes: int, head: bytes) -> float:
-    """Sureness by the share of the head inside frames of right check sums, payloads ``length`` (n,)."""
-    share = (int(length.sum()) + frame_bytes * length.size) / len(head)
+def framed_share(framed_bytes: int, head: bytes) -> float:
+    """Sureness by the share of the head inside frames of right check sums."""
+    share = framed_bytes / len(head)
     # a tenth: real logs begin with garbage, and a chance CRC match covers a few bytes of 65,536 only
     return min(share, 0.99 * SURE) if share > 0.1 else 0.0

@@ -12,7 +12,8 @@ import pandas as pd
 
 from thalweg.core import WEEK_S, ArrayF, InputError, gps_from_week
 from thalweg.ingest import PoseLog, PoseReader, PositionLog, TrackOptions, doubtful_date
-from thalweg.ingest.anpp import find_packets, read_anpp
+from thalweg.ingest.anpp import read_anpp
+from thalweg.ingest.framing import intact_bytes
 from thalweg.ingest.recorders import is_dataflash, is_telemetry, read_ardupilot, ubx_share
 from thalweg.ingest.registry.base import Format, find_format, framed_share, read_head
 from thalweg.ingest.registry.calibrations import CalibrationReport
@@ -206,7 +207,7 @@ def _is_unit(values: Sequence[float]) -> bool:
 
 
 def _anpp_share(head: bytes, size: int) -> float:
-    return framed_share(find_packets(np.frombuffer(head, dtype=np.uint8)).length, 5, head)
+    return framed_share(intact_bytes(head, sbp=False), head)
 
 
 def _records(head: bytes, size: int, record_bytes: int) -> list[ArrayF]:

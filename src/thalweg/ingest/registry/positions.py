@@ -19,6 +19,7 @@ from thalweg.ingest import (
     PositionReader,
     TrackOptions,
 )
+from thalweg.ingest.framing import intact_bytes
 from thalweg.ingest.nmea import read_nmea
 from thalweg.ingest.ppk import PpkOptions, describe_rinex, replace_covariances, run_ppk
 from thalweg.ingest.recorders import (
@@ -354,9 +355,7 @@ def _is_nmea(head: bytes, size: int) -> bool:
 
 
 def _sbp_share(head: bytes, size: int) -> float:
-    from thalweg.ingest.sbp import find_messages
-
-    return framed_share(find_messages(np.frombuffer(head, dtype=np.uint8)).length, 8, head)
+    return framed_share(intact_bytes(head, sbp=True), head)
 
 
 POSITIONS: Final = (

@@ -12,7 +12,6 @@ from typing import Any, Final
 
 import numpy as np
 import pandas as pd
-from sbp.table import lookup
 
 from thalweg.core import (
     GPS_EPOCH_UNIX_S,
@@ -298,6 +297,8 @@ def message_name(kind: int) -> str | None:
     >>> message_name(0x020A), message_name(0xFFF0)
     ('MsgPosLLH', None)
     """
+    from sbp.table import lookup  # takes as long to import as numpy, and every `describe` imports this module
+
     found = lookup(kind)
     return None if found is None else str(found.__name__)
 

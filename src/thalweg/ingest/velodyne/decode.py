@@ -65,7 +65,7 @@ def _azimuths(row: ArrayU8, per: int, azimuth: ArrayI, gap: AnyArray, rate: floa
     return last
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, inline="always")
 def _select(near: int, far: int, strongest: int, returns: int, low: int, high: int) -> tuple[bool, bool]:
     """Which of a shot's returns are wanted: the nearer, the farther (0 = there is none)."""
     take_near = near > 0 and low <= near <= high
@@ -80,11 +80,20 @@ def _select(near: int, far: int, strongest: int, returns: int, low: int, high: i
 
 @njit(cache=True, nogil=True)
 def count_points(
-    payload: ArrayU8, keep: ArrayB, returns: int, low: int, high: int, points: ArrayI, counters: ArrayI
+    payload: ArrayU8,
+    keep: ArrayB,
+    returns: int,
+    low: int,
+    high: int,
+    azimuth: ArrayI,
+    gap: ArrayF,
+    points: ArrayI,
+    counters: ArrayI,
 ) -> None:
-    """Number of points of each packet, and counts of damaged blocks, azimuth jumps and double returns."""
-    azimuth = np.empty(12, np.int64)
-    gap = np.empty(12, np.float64)
+    """Number of points of each packet, and counts of damaged blocks, azimuth jumps and double returns.
+
+    ``azimuth`` and ``gap`` (12,) are room to work in: arrays made in here would take longer to compile.
+    """
     for p in range(payload.shape[0]):
         points[p] = 0
         if not keep[p]:

@@ -144,7 +144,7 @@ def _headers(
         valid[i] = flags > 0 and known and toh < 3_600_000_000 and (product < 0 or row[1205] == product)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, inline="always")
 def _wrap(d_us: int) -> int:
     """A difference of stamps, modulo the hour, in [-30 min, 30 min)."""
     return (d_us + 1_800_000_000) % 3_600_000_000 - 1_800_000_000
@@ -172,7 +172,7 @@ def _seen(t: int, mark: int, state: ArrayI, old_t: ArrayI, old_mark: ArrayI) -> 
     return -1
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, inline="always")
 def _set_back(
     i: int, toh_us: ArrayI, valid: ArrayB, mark: ArrayI, state: ArrayI, old_t: ArrayI, old_mark: ArrayI
 ) -> bool:
@@ -187,7 +187,7 @@ def _set_back(
     return checked >= _LOOK_AHEAD // 2
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, inline="always")
 def _next_valid(i: int, valid: ArrayB) -> int:
     j = i + 1
     while j < valid.size and not valid[j]:

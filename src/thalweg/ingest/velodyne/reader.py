@@ -712,7 +712,8 @@ def _first_model(files: Sequence[Path], options: LidarOptions, chunk_bytes: int)
 def _count(block: PacketBlock, options: LidarOptions, model: Model, counters: ArrayI) -> ArrayI:
     points = np.empty(block.payload.shape[0], dtype=np.int64)
     low, high = _range_ticks(options, model.range_unit_m)
-    count_points(block.payload, block.keep, RETURNS[options.returns], low, high, points, counters)
+    room = np.empty(12, np.int64), np.empty(12)
+    count_points(block.payload, block.keep, RETURNS[options.returns], low, high, *room, points, counters)
     return points
 
 
