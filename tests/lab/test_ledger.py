@@ -348,8 +348,8 @@ def test_sigmas(tmp_path):
         ),
         (
             "{file: facts.json, key: [image, 0, sigma_px]}",
-            "{computed: times, with: {of: C286 std, factor: 1}}",
-            "found 'constant' for the function times",
+            "{computed: arithmetic, with: {formula: of, of: C286 std}}",
+            "found 'constant' for the function arithmetic",
         ),
         (
             "study: lines.csv, where: {model: regular}, column: rmse",
