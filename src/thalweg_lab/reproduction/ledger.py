@@ -913,7 +913,6 @@ def unknowns(published: Published, *, kind: Kind, lines: int, fixed_fans: bool =
     return Found(value=float(len(line_model(kind, nominal, fixed_fans=fixed_fans).names)))
 
 
-
 def arithmetic(published: Published, *, formula: str, n: str = "", **names: str | float) -> Found:
     """A formula of published numbers and of constants, by the names that the entry gives them.
 
@@ -925,11 +924,8 @@ def arithmetic(published: Published, *, formula: str, n: str = "", **names: str 
     names : of the formula: name of an entry, or a constant.
     """
     known = {name: float(published[of]) if isinstance(of, str) else of for name, of in names.items()}
-    value = float(pd.eval(formula, local_dict=known, engine="python"))
-    return Found(value=value, n=float(published[n]) if n else float("nan"))
-
-
-
+    value: Any = pd.eval(formula, local_dict=known, engine="python")
+    return Found(value=float(value), n=float(published[n]) if n else float("nan"))
 
 
 def survey_rmse(published: Published, *, name: str) -> Found:

@@ -180,8 +180,6 @@ def cone_parameters(published: Published) -> Found:
 # ---------------------------------------------------------------- arithmetic of printed numbers
 
 
-
-
 def normal_share(published: Published, *, sigmas: float) -> Found:
     """Percent of a normal variable within so many sigmas."""
     return Found(value=100.0 * math.erf(sigmas / math.sqrt(2.0)))
@@ -215,11 +213,6 @@ def distances_below(published: Published, *, of: str, than: str) -> Found:
     return Found(value=float(sum(below)), n=float(len(below)))
 
 
-
-
-
-
-
 def lidar_constant(published: Published, *, what: str) -> Found:
     """A constant that the reader decodes with: ``lasers``, or the ``vertical view`` of all, degrees."""
     view_deg = float(np.ptp(VLP16.elevation_deg))
@@ -244,8 +237,6 @@ def budget_ratio(published: Published, *, name: str, of: str, over: str, distanc
 def shots_per_second(published: Published) -> Found:
     """Shots of a VLP-16 a second: 16 lasers each firing sequence."""
     return Found(value=float(VLP16.lasers / VLP16.firing_s))
-
-
 
 
 ARITHMETIC: Final[dict[str, Callable[..., Found]]] = {

@@ -33,7 +33,7 @@ from thalweg_lab.studies.outage import (
     pose_errors,
     unit_errors,
 )
-from thalweg_lab.studies.study import Result, Seed, Study, Tables
+from thalweg_lab.studies.study import Result, Seed, Study, Tables, normalised_squares
 from thalweg_lab.studies.survey import Logs, log_settings, record, survey_settings
 from thalweg_lab.truth import ratio_of_surveys
 from thalweg_lab.voyage import Motion, Voyage
@@ -346,7 +346,7 @@ def judged(found: Processed, part: slice) -> dict[str, float]:
     """Mean normalised square of some components of the pose, number of poses, share inside 95 %."""
     e, C = found.error[:, part], found.cov[:, part, part]
     k = e.shape[1]
-    square = np.einsum("ni,ni->n", e, np.linalg.solve(C, e[:, :, None])[:, :, 0])
+    square = normalised_squares(e, C)
     return {
         "nees": float(np.mean(square) / k),
         "n": len(e),
