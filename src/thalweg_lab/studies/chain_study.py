@@ -18,7 +18,7 @@ assumed inputs, and the processing knows them.
 
 import logging
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -54,6 +54,7 @@ from thalweg.surface import Area, Surface
 from thalweg_lab.random_numbers import generator, lasting
 from thalweg_lab.reach import River
 from thalweg_lab.settings import TwinConfig
+from thalweg_lab.studies.outage import drawn_poses
 from thalweg_lab.studies.study import Result, Seed, Study, Tables, joined
 from thalweg_lab.studies.survey import Logs, ins_trajectory, orient, record, reference_mesh, survey_settings
 from thalweg_lab.truth import OWN_TIMES, carried_by_camera, chains_truth_table
@@ -105,9 +106,6 @@ TURN_RATE_DEGPS: Final = 20.0
 """Greatest turn rate, with which the root mean square about the vertical is 7 degrees/s: the angular speed
 that P2 6.1.2 and T 3.1.2 assume for every moment."""
 CLEAN: Final[dict[str, Any]] = {"gnss": {"shadow": False}}
-MARKS: Final = 300.0
-RESIDUAL_PX: Final = 0.5
-"""What the table of poses says of the marks of an image; no trajectory uses it."""
 
 DISTURBED: Final = "disturbed"
 UNDISTURBED: Final = "undisturbed"
@@ -350,21 +348,17 @@ def draw_images(
     error = np.einsum("nij,nj->ni", root, unit)
     following = np.zeros((n, 6, 6))
     following[:-1] = keep * root[:-1] @ np.swapaxes(root[1:], 1, 2)
-    return ImagePoses(
-        frame=frame,
-        images=tuple(f"{k:05d}.jpg" for k in range(n)),
-        t_gps_s=stamp,
-        sigma_t_s=np.full(n, np.hypot(errors.jitter_s, errors.sigma_clock_s)),
-        oriented=np.ones(n, dtype=np.bool_),
-        reasons=("",) * n,
-        centre_wcs_m=motion.position_wcs_m(exposed) + R_wcs_ics @ true_T_ics_ccs.shift_m - error[:, :3],
-        R_wcs_ccs=exp_rotation(-error[:, 3:]) @ R,
-        cov_pose_wcs=root @ np.swapaxes(root, 1, 2),
-        cov_next=following,
-        n_marks=np.full(n, MARKS),
-        rms_px=np.full(n, RESIDUAL_PX),
-        facts={"image_times": {"sigma_common_s": errors.sigma_clock_s, "independent_of_ins": True}},
+    poses = drawn_poses(
+        frame,
+        stamp,
+        np.hypot(errors.jitter_s, errors.sigma_clock_s),
+        motion.position_wcs_m(exposed) + R_wcs_ics @ true_T_ics_ccs.shift_m - error[:, :3],
+        exp_rotation(-error[:, 3:]) @ R,
+        root @ np.swapaxes(root, 1, 2),
+        following,
     )
+    facts = {"image_times": {"sigma_common_s": errors.sigma_clock_s, "independent_of_ins": True}}
+    return replace(poses, facts=facts)
 
 
 def _roots(R_wcs_ccs: ArrayF, errors: ImageErrors) -> ArrayF:

@@ -234,19 +234,15 @@ def _numbers(oriented: Oriented, truth: ImagePoses, factor: float) -> dict[str, 
         "single": single,
         "joint": joint,
         "independent": independent,
-        "rms_mm": 1e3 * _rms(error[:, :3]),
-        "sigma_mm": 1e3 * _rms(sigma[:, :3]),
-        "rms_mdeg": 1e3 * _rms(np.degrees(error[:, 3:])),
-        "sigma_mdeg": 1e3 * _rms(np.degrees(sigma[:, 3:])),
+        "rms_mm": 1e3 * root_mean_square(error[:, :3]),
+        "sigma_mm": 1e3 * root_mean_square(sigma[:, :3]),
+        "rms_mdeg": 1e3 * root_mean_square(np.degrees(error[:, 3:])),
+        "sigma_mdeg": 1e3 * root_mean_square(np.degrees(sigma[:, 3:])),
         "check": float(told.mean() / 3) if len(told) else np.nan,
         "check_points": len(told),
         "notes": "; ".join(oriented.notes),
         "failure": "",
     }
-
-
-def _rms(values: ArrayF) -> float:
-    return root_mean_square(values)
 
 
 def pooled(table: pd.DataFrame) -> pd.DataFrame:

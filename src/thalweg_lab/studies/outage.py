@@ -287,6 +287,33 @@ def unit_errors(rng: np.random.Generator, shape: int | tuple[int, ...], student:
     return np.asarray(rng.standard_t(student, shape) * np.sqrt((student - 2) / student))
 
 
+def drawn_poses(
+    frame: LocalFrame,
+    t_gps_s: ArrayF,
+    sigma_t_s: float,
+    centre_wcs_m: ArrayF,
+    R_wcs_ccs: ArrayF,
+    cov: ArrayF,
+    cov_next: ArrayF,
+) -> ImagePoses:
+    """Poses of images (n) that were drawn, not rendered; what they say of marks, no trajectory uses."""
+    n = len(t_gps_s)
+    return ImagePoses(
+        frame=frame,
+        images=tuple(f"{k:05d}.jpg" for k in range(n)),
+        t_gps_s=t_gps_s,
+        sigma_t_s=np.full(n, sigma_t_s),
+        oriented=np.ones(n, dtype=np.bool_),
+        reasons=("",) * n,
+        centre_wcs_m=centre_wcs_m,
+        R_wcs_ccs=R_wcs_ccs,
+        cov_pose_wcs=cov,
+        cov_next=cov_next,
+        n_marks=np.full(n, 300.0),
+        rms_px=np.full(n, 0.5),
+    )
+
+
 def _images(seed: int, spec: VoyageSpec, motion: Motion) -> tuple[ImagePoses, Rigid, float, Rigid]:
     """Poses of images with the errors of an image block, the mount as calibrated, the clock's offset, and the
     true mount.
@@ -306,19 +333,14 @@ def _images(seed: int, spec: VoyageSpec, motion: Motion) -> tuple[ImagePoses, Ri
     error = sigma * lasting(unit_errors(rng, (n, 6), spec.student), spec.image_interval_s, spec.image_time_s)
     C = np.diag(sigma**2)
     # an error moves the estimate to the truth
-    poses = ImagePoses(
-        frame=FRAME,
-        images=tuple(f"{k:05d}.jpg" for k in range(n)),
-        t_gps_s=stamp,
-        sigma_t_s=np.full(n, spec.jitter_s),
-        oriented=np.ones(n, dtype=np.bool_),
-        reasons=("",) * n,
-        centre_wcs_m=motion.position_wcs_m(exposed) + R @ true_mount.shift_m - error[:, :3],
-        R_wcs_ccs=exp_rotation(-error[:, 3:]) @ R @ true_mount.R,
-        cov_pose_wcs=np.tile(C, (n, 1, 1)),
-        cov_next=np.concatenate([np.tile(keep * C, (n - 1, 1, 1)), np.zeros((1, 6, 6))]),
-        n_marks=np.full(n, 300.0),
-        rms_px=np.full(n, 0.5),
+    poses = drawn_poses(
+        FRAME,
+        stamp,
+        spec.jitter_s,
+        motion.position_wcs_m(exposed) + R @ true_mount.shift_m - error[:, :3],
+        exp_rotation(-error[:, 3:]) @ R @ true_mount.R,
+        np.tile(C, (n, 1, 1)),
+        np.concatenate([np.tile(keep * C, (n - 1, 1, 1)), np.zeros((1, 6, 6))]),
     )
     return poses, T_ccs_ics, clock, true_mount
 
