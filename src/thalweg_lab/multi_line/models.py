@@ -311,15 +311,15 @@ def line_residuals(
         _, by_a, places, _, by_d = _beams(R, origins, v, a, points_mm[:, 2], window)
         f = points_mm[:, :2] + e[:, None] * move_mm - places
         J = _system(by_a, by_d, move_mm)
-        step = np.linalg.solve(J, f[:, :, None])[:, :, 0]
+        step = _solve_2x2(J, f[:, :, None])[:, :, 0]
         e, a = e - step[:, 0], a - np.clip(step[:, 1], -0.3, 0.3)
         if not np.nanmax(np.abs(step[:, 1]), initial=0.0) > _CLOSE:
             break
     beam, by_a, _, by_height, by_d = _beams(R, origins, v, a, points_mm[:, 2], window)
     J = _system(by_a, by_d, move_mm)
     by_geometry = _by_geometry(R, R_window_lcs, beam, v, a, by_height, by_d)
-    solved: ArrayF = np.linalg.solve(J, by_geometry).astype(np.float64)
-    moved: ArrayF = -np.linalg.inv(J).astype(np.float64)
+    solved = _solve_2x2(J, by_geometry)
+    moved = _solve_2x2(J, np.broadcast_to(-np.eye(2), (len(at), 2, 2)))
     good = np.abs(a) < np.pi / 2
     return LineResiduals(
         error_px=np.where(good, -e, np.nan),
@@ -392,6 +392,14 @@ def _beams(
 def _system(by_a: ArrayF, by_d: ArrayF, move: ArrayF) -> ArrayF:
     along = np.einsum("nij,nj->ni", by_d, by_a[:, :2])
     return np.stack([move, -along], axis=2)
+
+
+def _solve_2x2(J: ArrayF, rhs: ArrayF) -> ArrayF:
+    det = J[:, 0, 0] * J[:, 1, 1] - J[:, 0, 1] * J[:, 1, 0]
+    first = J[:, 1, 1, None] * rhs[:, 0] - J[:, 0, 1, None] * rhs[:, 1]
+    second = J[:, 0, 0, None] * rhs[:, 1] - J[:, 1, 0, None] * rhs[:, 0]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.stack([first, second], axis=1) / det[:, None, None]
 
 
 def _by_geometry(
