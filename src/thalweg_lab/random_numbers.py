@@ -25,8 +25,12 @@ def gauss_markov(
     ``x[k+1] = a x[k] + sigma sqrt(1 - a^2) w[k]`` with ``a = exp(-step / correlation time)``; its variance is
     sigma^2 at each epoch and its autocorrelation ``exp(-|tau| / correlation time)`` (Gelb 1974, 2.2).
     """
-    white = rng.standard_normal(n)
+    return sigma * lasting(rng.standard_normal(n), step_s, correlation_time_s)
+
+
+def lasting(white: ArrayF, step_s: float, correlation_time_s: float) -> ArrayF:
+    """Gauss-Markov processes (n, ...) of variance 1 along the first axis, of white noise of variance 1."""
     a = float(np.exp(-step_s / correlation_time_s))
     drive = white * np.sqrt(1.0 - a * a)
     drive[:1] = white[:1]
-    return np.asarray(sigma * lfilter([1.0], [1.0, -a], drive))
+    return np.asarray(lfilter([1.0], [1.0, -a], drive, axis=0))

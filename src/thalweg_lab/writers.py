@@ -16,6 +16,7 @@ from typing import BinaryIO, Final, Literal, Self
 import laspy
 import numpy as np
 from laspy.vlrs.known import WktCoordinateSystemVlr
+from numpy.typing import ArrayLike
 from PIL import Image
 from pyproj import CRS
 from sbp.msg import SBP
@@ -33,10 +34,12 @@ from thalweg.core import (
     ArrayU8,
     ConfigError,
     LocalFrame,
+    Rigid,
     frame_json,
     frame_wkt,
     unix_from_gps,
 )
+from thalweg.images.model import ImagePoses
 from thalweg_lab.settings import TwinConfig
 from thalweg_lab.voyage import LEAD_S, start_gps_s, start_unix
 
@@ -744,3 +747,28 @@ def check_leap_seconds(config: TwinConfig) -> None:
             where="twin.start_utc",
             cure="Begin some minutes earlier or later",
         )
+
+
+# ---------------------------------------------------------------- true poses of images
+
+
+def true_poses(
+    names: Sequence[str], t_gps_s: ArrayLike, poses: Sequence[Rigid], frame: LocalFrame, source: str
+) -> ImagePoses:
+    """Poses of images without errors; ``source`` is what their table says of them."""
+    n = len(names)
+    return ImagePoses(
+        frame=frame,
+        images=tuple(names),
+        t_gps_s=np.array(t_gps_s),
+        sigma_t_s=np.zeros(n),
+        oriented=np.ones(n, dtype=np.bool_),
+        reasons=("",) * n,
+        centre_wcs_m=np.array([pose.shift_m for pose in poses]).reshape(n, 3),
+        R_wcs_ccs=np.array([pose.R for pose in poses]).reshape(n, 3, 3),
+        cov_pose_wcs=np.zeros((n, 6, 6)),
+        cov_next=np.zeros((n, 6, 6)),
+        n_marks=np.zeros(n),
+        rms_px=np.full(n, np.nan),
+        facts={"source": source},
+    )

@@ -37,7 +37,7 @@ from thalweg_lab.instruments import (
 )
 from thalweg_lab.random_numbers import generator
 from thalweg_lab.settings import TwinCamera, TwinConfig, TwinField
-from thalweg_lab.voyage import standing, start_gps_s, static_seed
+from thalweg_lab.voyage import standing, start_gps_s, static_seed, write_effects
 from thalweg_lab.writers import start_us
 from thalweg_lab.yard import (
     ANTENNA,
@@ -294,11 +294,7 @@ def simulate_positions(
                 motion=motion,
             )
         )
-    if out_effects is not None:
-        out_effects.parent.mkdir(parents=True, exist_ok=True)
-        out_effects.write_text(
-            json.dumps({"stream": "static positions", "positions": facts}, indent=2) + "\n"
-        )
+    write_effects(out_effects, "static positions", {"positions": facts})
     return facts
 
 

@@ -5,7 +5,6 @@ import pytest
 
 from thalweg_lab.river import Material
 from thalweg_lab.river_images import surface_appearance
-from thalweg_lab.river_images.appearance import surface_colour
 
 GROUND = [Material.BED, Material.GRAVEL, Material.SOIL, Material.GRASS]
 UPRIGHT = [Material.STONE, Material.BARK, Material.WALL, Material.ROOF, Material.CONCRETE, Material.WOOD]
@@ -21,7 +20,7 @@ def places(n: int, material: Material, size_m: float = 200.0) -> tuple[np.ndarra
 
 def colour(material: Material, footprint_m: float, n: int = 40_000) -> np.ndarray:
     p, normal, code, same = places(n, material)
-    return surface_colour(p, normal, code, same, np.full(n, footprint_m), water_level_m=0.0)
+    return surface_appearance(p, normal, code, same, np.full(n, footprint_m), water_level_m=0.0)[0]
 
 
 @pytest.mark.parametrize("material", [*GROUND, *UPRIGHT])
@@ -47,7 +46,7 @@ def test_detail_goes_down_to_millimetres(material):
     differ = []
     for f in (0.001, 0.05):
         a, b = (
-            surface_colour(q, normal, code, same, np.full(len(p), f), water_level_m=0.0)
+            surface_appearance(q, normal, code, same, np.full(len(p), f), water_level_m=0.0)[0]
             for q in (p, p + step)
         )
         differ.append(np.sqrt(np.mean((a - b) ** 2)) / a.mean())
@@ -58,12 +57,12 @@ def test_detail_goes_down_to_millimetres(material):
 def test_a_place_has_one_colour():
     p, normal, code, same = places(5000, Material.GRAVEL)
     f = np.full(len(p), 0.003)
-    first = surface_colour(p, normal, code, same, f, water_level_m=0.0)
+    first = surface_appearance(p, normal, code, same, f, water_level_m=0.0)[0]
     order = np.random.default_rng(1).permutation(len(p))
-    again = surface_colour(p[order], normal[order], code, same, f, water_level_m=0.0)
+    again = surface_appearance(p[order], normal[order], code, same, f, water_level_m=0.0)[0]
     np.testing.assert_array_equal(again, first[order])
     # The direction that the surface is seen or met from has no say on ground.
-    tilted = surface_colour(p, np.tile([0.6, 0, 0.8], (len(p), 1)), code, same, f, water_level_m=0.0)
+    tilted = surface_appearance(p, np.tile([0.6, 0, 0.8], (len(p), 1)), code, same, f, water_level_m=0.0)[0]
     np.testing.assert_array_equal(tilted, first)
 
 

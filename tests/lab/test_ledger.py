@@ -118,7 +118,7 @@ def test_each_entry_says_why_and_no_match_is_made_to_fit(ledger):
         assert entry.why, entry
         if entry.basis == "printed digits" and entry.tolerance:
             # only where three printed numbers make one: 3 (0.005) + 0.005, 3 (0.05) + 0.05
-            assert entry.ours.name == "times"
+            assert entry.ours.extra["formula"] == "3 * of"
             assert entry.tolerance == pytest.approx(4 * entry.half_unit)
         if entry.basis == "identity":
             assert entry.tolerance <= 1e-4
@@ -348,8 +348,8 @@ def test_sigmas(tmp_path):
         ),
         (
             "{file: facts.json, key: [image, 0, sigma_px]}",
-            "{computed: times, with: {of: C286 std, factor: 1}}",
-            "found 'constant' for the function times",
+            "{computed: arithmetic, with: {formula: of, of: C286 std}}",
+            "found 'constant' for the function arithmetic",
         ),
         (
             "study: lines.csv, where: {model: regular}, column: rmse",

@@ -17,8 +17,8 @@ from thalweg_lab.instruments.footprint import (
     part_of,
     seen,
 )
-from thalweg_lab.instruments.lidar import ELEVATION_RAD, fresnel, ghosts, overlap
-from thalweg_lab.river import REFLECTANCE, Hull, Material, Waves
+from thalweg_lab.instruments.lidar import ELEVATION_RAD, REFRACTIVE_INDEX, ghosts, overlap
+from thalweg_lab.river import REFLECTANCE, Hull, Material, Waves, fresnel
 
 DIVERGENCE = 0.003
 
@@ -224,8 +224,8 @@ def test_water_reflects_after_fresnel():
     brewster = np.arctan(1.33)
     transmitted = np.arcsin(np.sin(brewster) / 1.33)
     expected = [0.33**2 / 2.33**2, 0.5 * np.sin(brewster - transmitted) ** 2, 1.0]
-    np.testing.assert_allclose(fresnel(np.array([1.0, np.cos(brewster), 0.0])), expected, atol=1e-12)
-    rising = fresnel(np.linspace(1, 0, 200))
+    np.testing.assert_allclose(fresnel(np.array([1.0, np.cos(brewster), 0.0]), 1.33), expected, atol=1e-12)
+    rising = fresnel(np.linspace(1, 0, 200), 1.33)
     assert np.all(np.diff(rising[20:]) > 0)
 
 
@@ -243,7 +243,7 @@ def test_a_flat_mirror_shows_the_bank_upside_down():
     np.testing.assert_allclose((apparent * [1, 1, -1])[:4], flat.point_wcs_m[:4], atol=1e-4)
     np.testing.assert_allclose(flat.point_wcs_m[:4, 1], 20.0, atol=1e-4)
     cosine = direction[:, 1]
-    expected = fresnel(-direction[:, 2]) ** 2 * REFLECTANCE[Material.WALL] * cosine
+    expected = fresnel(-direction[:, 2], REFRACTIVE_INDEX) ** 2 * REFLECTANCE[Material.WALL] * cosine
     np.testing.assert_allclose(flat.strength[:4], expected[:4], rtol=1e-5)
     # The steepest one passes over the bank.
     assert not np.isfinite(flat.range_m[4])

@@ -37,13 +37,13 @@ from thalweg.lidar.strips import (
     mounts_by_strips,
 )
 from thalweg.settings.sections import Filters, Strips
+from thalweg_lab.studies import normalised_squares
 from thalweg_lab.studies.sensors.strip_surveys import (
     BEAM,
     MOUNT,
     Spec,
     cell_error_m,
     draw,
-    nees,
     pose_errors,
     replaced,
     score,
@@ -51,6 +51,12 @@ from thalweg_lab.studies.sensors.strip_surveys import (
 )
 
 T0_S = 4.0e8
+
+
+def nees(error, cov):
+    return np.mean(normalised_squares(error, cov)) / error.shape[1]
+
+
 BORDER_SIGMA = np.array([*[1e-3] * 3, *[2e-3] * 3, 1e-9, 1e-9])
 SMALL = {"length_m": 20.0, "estimate": False}
 

@@ -6,7 +6,6 @@ from typing import Any, Final
 import numpy as np
 
 from thalweg.core import ArrayF, ArrayI, LocalFrame, Rigid, steps, write_marked
-from thalweg.images.model import ImagePoses
 from thalweg.settings.sections import Rig as RigSettings
 from thalweg_lab.dual_fisheye.device import LENSES, TrueRig, true_rig
 from thalweg_lab.dual_fisheye.room import LAYOUT, room_photographer, room_points, room_poses
@@ -15,7 +14,7 @@ from thalweg_lab.river import Scene, Waves
 from thalweg_lab.settings import TwinConfig, TwinDualFisheye
 from thalweg_lab.time_lapse import OwnBoat, Renderer, World, metered_exposure, sun_of
 from thalweg_lab.voyage import Voyage, read_true_mounts, true_mounts
-from thalweg_lab.writers import PhotoFacts, start_us, write_jpeg
+from thalweg_lab.writers import PhotoFacts, start_us, true_poses, write_jpeg
 from thalweg_lab.yard_images import LensRays, mount_of, run_name
 
 KIND: Final = "thalweg twin dual fisheye"
@@ -103,7 +102,8 @@ def simulate_dual_fisheye(
             _facts(settings, int(stamp_us[k]) + zone_us),
             quality=settings.jpeg_quality,
         )
-    _write_poses(poses, names, at, fronts, frame)
+    source = "digital twin, true poses of the front lens"
+    true_poses(names, at, fronts, frame, source).write(poses)
     _write_panorama(panorama, world, waves, fronts[len(at) // 2], true, exposed_s[len(at) // 2])
     write_marked(
         truth,
@@ -171,25 +171,6 @@ def simulate_rig_field(
         picture = device.file_of(light, generator(seed, f"dual fisheye room {k}"), 1.3)
         stamp = begin + 5_000_000 * k
         write_jpeg(images / run_name(stamp), picture, _facts(settings, stamp), quality=settings.jpeg_quality)
-
-
-def _write_poses(path: Path, names: list[str], at: ArrayF, fronts: list[Rigid], frame: LocalFrame) -> None:
-    n = len(names)
-    ImagePoses(
-        frame=frame,
-        images=tuple(names),
-        t_gps_s=np.asarray(at),
-        sigma_t_s=np.zeros(n),
-        oriented=np.ones(n, dtype=np.bool_),
-        reasons=("",) * n,
-        centre_wcs_m=np.array([pose.shift_m for pose in fronts]).reshape(n, 3),
-        R_wcs_ccs=np.array([pose.R for pose in fronts]).reshape(n, 3, 3),
-        cov_pose_wcs=np.zeros((n, 6, 6)),
-        cov_next=np.zeros((n, 6, 6)),
-        n_marks=np.zeros(n),
-        rms_px=np.full(n, np.nan),
-        facts={"source": "digital twin, true poses of the front lens"},
-    ).write(path)
 
 
 class _Sphere(LensRays):

@@ -28,7 +28,16 @@ from thalweg_lab.instruments.footprint import (
 )
 from thalweg_lab.instruments.misstated import as_it_errs
 from thalweg_lab.random_numbers import generator
-from thalweg_lab.river import HULL_MATERIAL, HULL_REFLECTANCE, REFLECTANCE, Hull, Material, Scene, Waves
+from thalweg_lab.river import (
+    HULL_MATERIAL,
+    HULL_REFLECTANCE,
+    REFLECTANCE,
+    Hull,
+    Material,
+    Scene,
+    Waves,
+    fresnel,
+)
 from thalweg_lab.settings import TwinConfig, TwinLidar
 from thalweg_lab.voyage import Motion, motion_of, write_effects
 from thalweg_lab.writers import (
@@ -647,15 +656,6 @@ class Ghosts:
     material: ArrayU8
 
 
-def fresnel(cosine: ArrayF) -> ArrayF:
-    """Share (n,) of unpolarised light that water reflects, by cosine of incidence (Born and Wolf, 1.5.2)."""
-    c = np.clip(cosine, 0.0, 1.0)
-    inside = np.sqrt(1.0 - (1.0 - c * c) / REFRACTIVE_INDEX**2)
-    across = (c - REFRACTIVE_INDEX * inside) / (c + REFRACTIVE_INDEX * inside)
-    along = (inside - REFRACTIVE_INDEX * c) / (inside + REFRACTIVE_INDEX * c)
-    return np.asarray((across**2 + along**2) / 2)
-
-
 def overlap(
     divergence_rad: float, hidden_slope_variance: ArrayF, cosine: ArrayF, beyond: ArrayF | float = 1.0
 ) -> ArrayF:
@@ -725,7 +725,7 @@ def ghosts(
     point = place + way[:, None] * mirrored
     cosine = np.clip(-towards, 0.0, 1.0)
     strength = (
-        fresnel(cosine) ** 2
+        fresnel(cosine, REFRACTIVE_INDEX) ** 2
         * overlap(divergence_rad, waves.hidden_slope_variance(footprint), cosine, way / (range_m + way))
         * surfaces.strength(kind, hits.normal, mirrored, point[:, 2])
     )

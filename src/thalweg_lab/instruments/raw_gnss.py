@@ -23,7 +23,7 @@ import numpy as np
 
 from thalweg.core import ADJUSTED_OFFSET_S, WEEK_S, ArrayB, ArrayF, ArrayI, LocalFrame
 from thalweg_lab.instruments.gnss import EARTH_RADPS, MU_M3PS2, STEP_S, SYSTEMS, Constellation, shaded
-from thalweg_lab.random_numbers import generator
+from thalweg_lab.random_numbers import generator, lasting
 from thalweg_lab.river import Scene
 from thalweg_lab.settings import TwinConfig
 from thalweg_lab.voyage import epochs, motion_of, read_true_mounts, write_effects
@@ -223,8 +223,10 @@ def _record(
         delay = ionosphere * (FREQUENCY_HZ[0] / FREQUENCY_HZ[f]) ** 2
         jumps = slips * rng.integers(1, 9, shape) * rng.choice([-1, 1], shape)
         cycles = whole[f] + np.cumsum(jumps, axis=0)
-        code = receiver.multipath_code_m * _process(rng, shape, step_s, receiver.multipath_time_s)
-        carrier = receiver.multipath_carrier_m * _process(rng, shape, step_s, receiver.multipath_time_s)
+        code, carrier = (
+            size * lasting(rng.standard_normal(shape), step_s, receiver.multipath_time_s)
+            for size in (receiver.multipath_code_m, receiver.multipath_carrier_m)
+        )
         noise = rng.standard_normal((2, *shape)) * low
         observed[2 * f] = rho + troposphere + delay + code * low + receiver.sigma_code_m * noise[0]
         phase_m = rho + troposphere - delay + carrier * low + receiver.sigma_carrier_m * noise[1]
@@ -239,15 +241,6 @@ def _record(
         "dimmed": int((seen & dimmed).sum()),
         "hidden": int((up & hidden).sum()),
     }
-
-
-def _process(rng: np.random.Generator, shape: tuple[int, ...], step_s: float, time_s: float) -> ArrayF:
-    """Gauss-Markov processes of standard deviation 1, one a column."""
-    keep = np.exp(-step_s / time_s)
-    out = rng.standard_normal(shape)
-    for k in range(1, shape[0]):
-        out[k] = keep * out[k - 1] + np.sqrt(1 - keep**2) * out[k]
-    return out
 
 
 def _ways(

@@ -3,11 +3,9 @@ from .comparison import compare_models as compare_models, nested_tests as nested
 from .labels import (
     Detections as Detections,
     Hypotheses as Hypotheses,
-    LabelSettings as LabelSettings,
     MapSettings as MapSettings,
     Pose as Pose,
     hypotheses as hypotheses,
-    line_order as line_order,
 )
 from .level_points import LevelPoints as LevelPoints
 from .models import (

@@ -31,6 +31,37 @@ IMPOSSIBLE: Final = 3
 
 _SLOTS: Final = 8
 
+DEPTHS_MM: Final = (40.0, 210.0)
+"""Working range."""
+_LINK_PX: Final = 1.5
+"""How far a segment's next place may lie from where its slope leads."""
+_GAP_ROWS: Final = 3
+"""Steps without a detection that end a segment."""
+_SKIP: Final = 2.0
+_MISSING: Final = 0.6
+"""Costs of a detection without line, and of a line without detection, in a row."""
+_SMOOTH_PER_MM: Final = 0.12
+_SMOOTH_CAP_MM: Final = 12.0
+"""Cost of a change of depth from line to line."""
+_ROUNDS: Final = 6
+"""Of the exchange between rows and segments."""
+_MIN_POINTS: Final = 8
+"""Least length of a segment that gets a label of its own."""
+_MARGIN: Final = 1.5
+"""Least difference of the mean cost of a row to the second best label."""
+_SUPPORT: Final = 0.7
+"""Least share of a segment's points that lie on the map."""
+
+_MAP_DEPTHS_MM: Final = (30.0, 220.0)
+"""Extent of the map in depth; its cells and the voxels of free water have sides of one millimetre."""
+_HIDDEN_MM: Final = 2.0
+"""How far behind a surface a place must be to be hidden."""
+_FREE_END_MM: Final = 1.5
+"""Distance from a point at which its rays begin to count as free."""
+_FREE_RAYS: Final = 2
+"""Rays that must have passed through a voxel."""
+_FREE_STEP_MM: Final = 0.7
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Detections:
@@ -70,37 +101,6 @@ class Detections:
     def xy_px(self) -> ArrayF:
         """(n, 2) pixels, corner origin."""
         return np.stack([self.x_px, self.row + 0.5], axis=1)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LabelSettings:
-    """Rules of the assignment.
-
-    Parameters
-    ----------
-    min_depth_mm, max_depth_mm : working range.
-    link_px : how far a segment's next place may lie from where its slope leads.
-    gap_rows : steps without a detection that end a segment.
-    skip, missing : costs of a detection without line, and of a line without detection, in a row.
-    smooth_per_mm, smooth_cap_mm : cost of a change of depth from line to line.
-    rounds : of the exchange between rows and segments.
-    min_points : least length of a segment that gets a label of its own.
-    margin : least difference of the mean cost of a row to the second best label.
-    support : least share of a segment's points that lie on the map.
-    """
-
-    min_depth_mm: float = 40.0
-    max_depth_mm: float = 210.0
-    link_px: float = 1.5
-    gap_rows: int = 3
-    skip: float = 2.0
-    missing: float = 0.6
-    smooth_per_mm: float = 0.12
-    smooth_cap_mm: float = 12.0
-    rounds: int = 6
-    min_points: int = 8
-    margin: float = 1.5
-    support: float = 0.7
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -163,29 +163,17 @@ class MapSettings:
     Parameters
     ----------
     low_mm, high_mm : (2,) extent in the plane.
-    min_depth_mm, max_depth_mm : extent in depth, in the frame of the map.
-    cell_mm, voxel_mm : size of cells in the plane, and (3,) of the voxels of free water.
     radius_mm : how far in the plane a point supports.
     tolerance_mm, growth : difference of depth that is allowed at no distance, and its growth per millimetre.
-    hidden_mm : how far behind a surface a place must be to be hidden.
-    free_end_mm : distance from a point at which its rays begin to count as free.
     free_length_mm : how far up the rays are followed.
-    free_rays : rays that must have passed through a voxel.
     """
 
     low_mm: tuple[float, float]
     high_mm: tuple[float, float]
-    min_depth_mm: float = 30.0
-    max_depth_mm: float = 220.0
-    cell_mm: float = 1.0
-    voxel_mm: tuple[float, float, float] = (1.0, 1.0, 1.0)
     radius_mm: float = 1.6
     tolerance_mm: float = 0.3
     growth: float = 0.35
-    hidden_mm: float = 2.0
-    free_end_mm: float = 1.5
     free_length_mm: float = 90.0
-    free_rays: int = 2
 
 
 class SurfaceMap:
@@ -193,55 +181,34 @@ class SurfaceMap:
 
     def __init__(self, settings: MapSettings) -> None:
         self.settings = settings
-        extent = np.asarray(settings.high_mm) - settings.low_mm
-        nx, ny = (int(np.ceil(side / settings.cell_mm)) for side in extent)
-        self.corner = np.array([*settings.low_mm, settings.min_depth_mm])
-        self.voxel = np.asarray(settings.voxel_mm, dtype=np.float64)
-        depth = settings.max_depth_mm - settings.min_depth_mm
-        size = [int(np.ceil(side / v)) for side, v in zip([*extent, depth], self.voxel, strict=True)]
+        self.corner = np.array([*settings.low_mm, _MAP_DEPTHS_MM[0]])
+        extent = np.array([*settings.high_mm, _MAP_DEPTHS_MM[1]]) - self.corner
+        nx, ny, depth = (int(np.ceil(side)) for side in extent)
         self.points = np.zeros((nx, ny, _SLOTS, 3))
         self.who: ArrayI = np.zeros((nx, ny, _SLOTS, 2), dtype=np.int64)
         self.count: ArrayU8 = np.zeros((nx, ny), dtype=np.uint8)
-        self.free: ArrayU8 = np.zeros(size, dtype=np.uint8)
-        self.n_outside = 0
+        self.free: ArrayU8 = np.zeros((nx, ny, depth), dtype=np.uint8)
 
     def add(
         self, xyd_mm: ArrayF, label: ArrayI, frame: int, camera_slope: ArrayF, laser_slope: ArrayF
     ) -> None:
         """Add labelled points (n, 3: x, y, depth) of an image, with the slopes (n, 2) of their rays."""
-        s = self.settings
-        self.n_outside += add_points(
-            self.points, self.who, self.count, self.corner, s.cell_mm, xyd_mm, label, frame
-        )
+        add_points(self.points, self.who, self.count, self.corner, xyd_mm, label, frame)
         for slope in (camera_slope, laser_slope):
-            carve(self.free, self.corner, self.voxel, xyd_mm, slope, s.free_end_mm, s.free_length_mm)
+            carve(self.free, self.corner, xyd_mm, slope, self.settings.free_length_mm)
 
     def ask(self, xyd_mm: ArrayF, slope: ArrayF, possible: ArrayU8, frame: int) -> tuple[ArrayU8, ArrayF]:
         """State (n, L) of hypotheses (n, L, 3) on camera rays (n, 2), and depth of support minus theirs."""
         s = self.settings
         state = np.zeros(possible.shape, dtype=np.uint8)
         off = np.full(possible.shape, np.nan)
-        limits = np.array([s.radius_mm, s.tolerance_mm, s.growth, s.hidden_mm, float(s.free_rays)])
-        look_up(
-            self.points,
-            self.who,
-            self.count,
-            self.corner,
-            s.cell_mm,
-            self.free,
-            self.voxel,
-            xyd_mm,
-            slope,
-            possible,
-            limits,
-            frame,
-            state,
-            off,
-        )
+        limits = np.array([s.radius_mm, s.tolerance_mm, s.growth])
+        known = (self.points, self.who, self.count, self.corner, self.free)
+        look_up(*known, xyd_mm, slope, possible, limits, frame, state, off)
         return state, off
 
 
-def line_order(sensor: Sensor, lines: Lines, depth_mm: float) -> int:
+def line_order(sensor: Sensor, lines: Lines) -> int:
     """Whether image places in a row grow (+1) or shrink (-1) with the number of the line.
 
     Raises
@@ -251,7 +218,7 @@ def line_order(sensor: Sensor, lines: Lines, depth_mm: float) -> int:
     middle = []
     for sheet in lines.sheets():
         water = refract_to_water(sheet.origin_lcs_mm, sheet.beams(0.0), sensor.window)
-        middle.append(project(sensor, water.at_depth(depth_mm))[0, 0])
+        middle.append(project(sensor, water.at_depth(0.5 * sum(DEPTHS_MM)))[0, 0])
     steps = np.diff(middle)
     if not ((steps > 0).all() or (steps < 0).all()):
         raise GeometryError(
@@ -262,9 +229,7 @@ def line_order(sensor: Sensor, lines: Lines, depth_mm: float) -> int:
     return 1 if steps[0] > 0 else -1
 
 
-def hypotheses(
-    sensor: Sensor, lines: Lines, detections: Detections, settings: LabelSettings, *, order: int | None = None
-) -> Hypotheses:
+def hypotheses(sensor: Sensor, lines: Lines, detections: Detections) -> Hypotheses:
     """Intersect every detection with every line, and link detections to segments."""
     xy = detections.xy_px
     n, L = len(xy), len(lines.labels)
@@ -282,24 +247,19 @@ def hypotheses(
     rays = sensor.camera.rays(xy) @ sensor.R_lcs_ccs.T
     slope = refract_to_water(sensor.camera_origin_lcs_mm, rays, sensor.window).B
     with np.errstate(invalid="ignore"):
-        possible = (xyd[:, :, 2] > settings.min_depth_mm) & (xyd[:, :, 2] < settings.max_depth_mm)
-    middle = 0.5 * (settings.min_depth_mm + settings.max_depth_mm)
+        possible = (xyd[:, :, 2] > DEPTHS_MM[0]) & (xyd[:, :, 2] < DEPTHS_MM[1])
     return Hypotheses(
         detections=detections,
-        order=line_order(sensor, lines, middle) if order is None else order,
+        order=line_order(sensor, lines),
         xyd_mm=xyd,
         slope=slope,
         laser_slope=laser_slope,
         possible=possible,
-        segment=link_rows(
-            detections.row, detections.x_px, detections.row_step, settings.link_px, settings.gap_rows
-        ),
+        segment=link_rows(detections.row, detections.x_px, detections.row_step, _LINK_PX, _GAP_ROWS),
     )
 
 
-def label_image(
-    h: Hypotheses, settings: LabelSettings, *, evidence: ArrayF | None = None, shape: float = 1.0
-) -> Labels:
+def label_image(h: Hypotheses, *, evidence: ArrayF | None = None, shape: float = 1.0) -> Labels:
     """Labels of one image.
 
     Parameters
@@ -315,27 +275,21 @@ def label_image(
     columns = np.arange(L)[:: h.order]
     unary = np.where(h.possible, 0.0 if evidence is None else evidence, np.inf)[:, columns]
     depth = np.nan_to_num(h.xyd_mm[:, columns, 2], nan=-999.0)
-    missing = np.full(L, shape * settings.missing)
+    missing = np.full(L, shape * _MISSING)
     segment = h.segment
     size = np.bincount(segment, minlength=h.n_segments)
     shared = np.zeros((h.n_segments, L))
-    for turn in range(settings.rounds):
+    for turn in range(_ROUNDS):
         weight = min(1.0, (turn + 1) / 3)
         cost = unary + weight * shared[segment]
         m = row_marginals(
-            h.detections.row,
-            cost,
-            depth,
-            missing,
-            settings.skip,
-            shape * settings.smooth_per_mm,
-            settings.smooth_cap_mm,
+            h.detections.row, cost, depth, missing, _SKIP, shape * _SMOOTH_PER_MM, _SMOOTH_CAP_MM
         )
         shared = _segment_costs(m, segment, size)
     best = shared.argmin(axis=1)
     two = np.partition(shared, 1, axis=1)[:, :2]
     margin = np.where(np.isfinite(two[:, 1] - two[:, 0]), two[:, 1] - two[:, 0], 0.0)
-    sure = (margin >= settings.margin) & (size >= settings.min_points)
+    sure = (margin >= _MARGIN) & (size >= _MIN_POINTS)
     best_label = columns[best][segment]
     possible = h.possible[np.arange(n), best_label]
     label = np.where(sure[segment] & possible, best_label, -1)
@@ -349,9 +303,7 @@ def depth_evidence(h: Hypotheses, depth_mm: float, sigma_mm: float) -> ArrayF:
     return np.where(h.possible, np.minimum(0.5 * np.nan_to_num(off, nan=99.0) ** 2, _CAP), np.inf)
 
 
-def map_evidence(
-    h: Hypotheses, surface: SurfaceMap, pose: Pose, frame: int, settings: LabelSettings
-) -> tuple[ArrayF, ArrayU8]:
+def map_evidence(h: Hypotheses, surface: SurfaceMap, pose: Pose, frame: int) -> tuple[ArrayF, ArrayU8]:
     """Costs (n, L) of labels from the map, and states (n, L) of the hypotheses.
 
     A point counts as likely as it is for a true and for a wrong label to be supported or contradicted;
@@ -363,7 +315,7 @@ def map_evidence(
     support = np.zeros((h.n_segments, h.possible.shape[1]))
     np.add.at(support, h.segment, (state == SUPPORTED).astype(np.float64))
     # at the rim of what is known a few points lie on the map by chance: they say nothing
-    lies_on_map = (support / size >= settings.support)[h.segment]
+    lies_on_map = (support / size >= _SUPPORT)[h.segment]
     cost = np.zeros(h.possible.shape)
     cost[(state == SUPPORTED) & lies_on_map] = -2.0
     cost[state == CONTRADICTED] = 2.5
@@ -503,26 +455,17 @@ def row_marginals(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def add_points(
-    grid: ArrayF,
-    who: ArrayI,
-    count: ArrayU8,
-    corner: ArrayF,
-    cell_mm: float,
-    points: ArrayF,
-    label: ArrayI,
-    frame: int,
-) -> int:
-    """Put points (n, 3: x, y, depth) into cells (nx, ny, slots, 3); returns how many fell outside.
+    grid: ArrayF, who: ArrayI, count: ArrayU8, corner: ArrayF, points: ArrayF, label: ArrayI, frame: int
+) -> None:
+    """Put points (n, 3: x, y, depth) into cells (nx, ny, slots, 3).
 
     ``who`` (nx, ny, slots, 2) gets the label and the frame. A cell keeps one point of each label and frame,
     and when it is full its first ones: they were there before a mistake could be.
     """
-    outside = 0
     for i in range(len(points)):
-        a = int(np.floor((points[i, 0] - corner[0]) / cell_mm))
-        b = int(np.floor((points[i, 1] - corner[1]) / cell_mm))
+        a = int(np.floor(points[i, 0] - corner[0]))
+        b = int(np.floor(points[i, 1] - corner[1]))
         if a < 0 or b < 0 or a >= grid.shape[0] or b >= grid.shape[1]:
-            outside += 1
             continue
         c = count[a, b]
         known = False
@@ -535,31 +478,21 @@ def add_points(
             grid[a, b, c, k] = points[i, k]
         who[a, b, c, 0], who[a, b, c, 1] = label[i], frame
         count[a, b] = c + 1
-    return outside
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def carve(
-    free: ArrayU8,
-    corner: ArrayF,
-    voxel: ArrayF,
-    points: ArrayF,
-    slopes: ArrayF,
-    end_mm: float,
-    length_mm: float,
-) -> None:
-    """Mark voxels along rays above points (n, 3) as free: from ``end_mm`` above a point on, ``length_mm`` up.
+def carve(free: ArrayU8, corner: ArrayF, points: ArrayF, slopes: ArrayF, length_mm: float) -> None:
+    """Mark voxels along rays above points (n, 3) as free, ``length_mm`` up.
 
     ``slopes`` (n, 2): change of x and y for each millimetre of depth.
     """
-    step = 0.7 * min(voxel[0], voxel[2])
-    steps = int(length_mm / step)
+    steps = int(length_mm / _FREE_STEP_MM)
     for i in range(len(points)):
         for s in range(steps):
-            up = end_mm + s * step
-            a = int(np.floor((points[i, 0] - slopes[i, 0] * up - corner[0]) / voxel[0]))
-            b = int(np.floor((points[i, 1] - slopes[i, 1] * up - corner[1]) / voxel[1]))
-            c = int(np.floor((points[i, 2] - up - corner[2]) / voxel[2]))
+            up = _FREE_END_MM + s * _FREE_STEP_MM
+            a = int(np.floor(points[i, 0] - slopes[i, 0] * up - corner[0]))
+            b = int(np.floor(points[i, 1] - slopes[i, 1] * up - corner[1]))
+            c = int(np.floor(points[i, 2] - up - corner[2]))
             inside = 0 <= a < free.shape[0] and 0 <= b < free.shape[1] and 0 <= c < free.shape[2]
             if inside and free[a, b, c] < 255:
                 free[a, b, c] += 1
@@ -571,9 +504,7 @@ def look_up(
     who: ArrayI,
     count: ArrayU8,
     corner: ArrayF,
-    cell_mm: float,
     free: ArrayU8,
-    voxel: ArrayF,
     places: ArrayF,
     slope: ArrayF,
     possible: ArrayU8,
@@ -587,11 +518,10 @@ def look_up(
     A point supports a hypothesis only if it comes from another line and another frame: what one line says
     twice would be wrong twice. ``state`` (n, L) becomes 0 unknown, 1 supported, 2 contradicted, 3
     impossible (``possible`` is 0). ``off_mm`` is the difference of depth to the nearest supporting point.
-    ``limits``: radius, tolerance, its growth per millimetre of distance, how far in front a surface must be
-    to hide what is behind it, and how many rays must have gone through a voxel that is free.
+    ``limits``: radius, tolerance, and its growth per millimetre of distance.
     """
-    radius, tolerance, growth, hidden_mm, rays = limits[0], limits[1], limits[2], limits[3], limits[4]
-    reach = int(np.ceil(radius / cell_mm))
+    radius, tolerance, growth = limits[0], limits[1], limits[2]
+    reach = int(np.ceil(radius))
     n, L = possible.shape
     for i in range(n):
         for j in range(L):
@@ -600,8 +530,8 @@ def look_up(
                 state[i, j] = 3
                 continue
             x, y, d = places[i, j, 0], places[i, j, 1], places[i, j, 2]
-            a = int(np.floor((x - corner[0]) / cell_mm))
-            b = int(np.floor((y - corner[1]) / cell_mm))
+            a = int(np.floor(x - corner[0]))
+            b = int(np.floor(y - corner[1]))
             state[i, j] = 0
             best = np.inf
             for p in range(max(0, a - reach), min(grid.shape[0], a + reach + 1)):
@@ -621,19 +551,19 @@ def look_up(
                             state[i, j] = 1
             if state[i, j] == 1:
                 continue
-            u = int(np.floor((x - corner[0]) / voxel[0]))
-            v = int(np.floor((y - corner[1]) / voxel[1]))
-            w = int(np.floor((d - corner[2]) / voxel[2]))
+            u = int(np.floor(x - corner[0]))
+            v = int(np.floor(y - corner[1]))
+            w = int(np.floor(d - corner[2]))
             inside = 0 <= u < free.shape[0] and 0 <= v < free.shape[1] and 0 <= w < free.shape[2]
-            if inside and free[u, v, w] >= rays:
+            if inside and free[u, v, w] >= _FREE_RAYS:
                 state[i, j] = 2
                 continue
             # a known surface in front of the hypothesis on the same camera ray hides it
-            up = hidden_mm
+            up = _HIDDEN_MM
             hits = 0
             while up < 60.0 and hits < 2:
-                a = int(np.floor((x - slope[i, 0] * up - corner[0]) / cell_mm))
-                b = int(np.floor((y - slope[i, 1] * up - corner[1]) / cell_mm))
+                a = int(np.floor(x - slope[i, 0] * up - corner[0]))
+                b = int(np.floor(y - slope[i, 1] * up - corner[1]))
                 if 0 <= a < grid.shape[0] and 0 <= b < grid.shape[1]:
                     for c in range(count[a, b]):
                         if who[a, b, c, 1] != frame and abs(grid[a, b, c, 2] - (d - up)) < 0.8:

@@ -32,7 +32,6 @@ from thalweg_lab.multi_line.labels import (
     SUPPORTED,
     Hypotheses,
     Labels,
-    LabelSettings,
     MapSettings,
     Pose,
     SurfaceMap,
@@ -43,6 +42,23 @@ from thalweg_lab.multi_line.labels import (
     map_evidence,
 )
 from thalweg_lab.multi_line.models import Lines
+
+_START_IMAGES: Final = 6
+"""Images in which the depth of the ground counts."""
+_CONFIRM_RADIUS_MM: Final = 0.7
+_CONFIRM_TOLERANCE_MM: Final = 0.2
+"""How near other lines must have seen the surface."""
+_CONFIRM_SHARE: Final = 0.5
+"""Least share of a segment's points that are confirmed."""
+_CONFIRM_ROUNDS: Final = 2
+_DISAGREEMENT: Final = 2.5
+"""Limit of a segment's median difference to other lines, in medians of the scan."""
+_SHIFT_RATIO: Final = 1.5
+"""Least ratio of the disagreement of the shifted scan to that of the scan."""
+_BEND_RATIO: Final = 2.0
+"""How much more a shifted segment of one image must bend the surface than the segment as it is."""
+_FULL_SHARE: Final = 0.6
+"""Share of a segment's rows in which all lines must be seen, else."""
 
 _NEXT: Final = (-1, 0, 1)
 _SHIFTS: Final = (-4, -3, -2, -1, 0, 1, 2, 3, 4)
@@ -68,29 +84,6 @@ class Flag(IntEnum):
     """Shifted by one the segment fits its surroundings better."""
     SCAN_SHIFT_UNRESOLVED = 5
     """The whole scan would be as consistent with all labels shifted by one."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ScanSettings:
-    """Rules along a scan.
-
-    Parameters
-    ----------
-    start_images : images in which the depth of the ground counts.
-    confirm_radius_mm, confirm_tolerance_mm : how near other lines must have seen the surface.
-    confirm_share : least share of a segment's points that are confirmed.
-    confirm_rounds : repetitions.
-    disagreement : limit of a segment's median difference to other lines, in medians of the scan.
-    shift_ratio : least ratio of the disagreement of the shifted scan to that of the scan.
-    """
-
-    start_images: int = 6
-    confirm_radius_mm: float = 0.7
-    confirm_tolerance_mm: float = 0.2
-    confirm_share: float = 0.5
-    confirm_rounds: int = 2
-    disagreement: float = 2.5
-    shift_ratio: float = 1.5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -123,8 +116,6 @@ def label_scan(
     *,
     ground_depth_mm: float,
     sigma_ground_mm: float = 2.0,
-    settings: LabelSettings | None = None,
-    scan: ScanSettings | None = None,
 ) -> ScanLabels:
     """Label the detections of a scan that starts on ground of known depth.
 
@@ -139,8 +130,6 @@ def label_scan(
     ------
     GeometryError : no images, or another number of poses.
     """
-    settings = LabelSettings() if settings is None else settings
-    scan = ScanSettings() if scan is None else scan
     if not images or len(images) != len(poses):
         raise GeometryError(
             f"{len(images)} images and {len(poses)} poses", expected="one pose for each image"
@@ -151,10 +140,10 @@ def label_scan(
         evidence = np.zeros(h.possible.shape)
         state: ArrayU8 | None = None
         if k > 0:
-            evidence, state = map_evidence(h, surface, pose, k, settings)
-        if k < scan.start_images:
+            evidence, state = map_evidence(h, surface, pose, k)
+        if k < _START_IMAGES:
             evidence = evidence + np.minimum(depth_evidence(h, ground_depth_mm, sigma_ground_mm), 3.0)
-        got = label_image(h, settings, evidence=evidence, shape=0.0 if k else 1.0)
+        got = label_image(h, evidence=evidence, shape=0.0 if k else 1.0)
         if state is not None:
             against = (
                 np.take_along_axis(state, np.maximum(got.label, 0)[:, None], axis=1)[:, 0] == CONTRADICTED
@@ -164,10 +153,10 @@ def label_scan(
         found.append(got)
     labels = [each.label for each in found]
     flags = [np.where(label < 0, Flag.UNSURE, Flag.GIVEN).astype(np.uint8) for label in labels]
-    for _ in range(scan.confirm_rounds):
-        kept = _confirmed(images, poses, labels, map_settings, scan)
+    for _ in range(_CONFIRM_ROUNDS):
+        kept = _confirmed(images, poses, labels, map_settings)
         labels = _without(labels, flags, kept, Flag.NOT_CONFIRMED)
-    off = {shift: _disagreement(images, poses, labels, map_settings, scan, shift) for shift in _SHIFTS}
+    off = {shift: _disagreement(images, poses, labels, map_settings, shift) for shift in _SHIFTS}
     test = pd.DataFrame(
         [
             {
@@ -182,11 +171,11 @@ def label_scan(
     medians = dict(zip(_SHIFTS, test["median_mm"], strict=True))
     # a shift at which no two lines meet has no median and is none that could be confused
     others = [median for shift, median in medians.items() if shift and np.isfinite(median)]
-    resolved = bool(others) and min(others) > scan.shift_ratio * medians[0]
+    resolved = bool(others) and min(others) > _SHIFT_RATIO * medians[0]
     if not resolved:
         labels = _without(labels, flags, [label < -1 for label in labels], Flag.SCAN_SHIFT_UNRESOLVED)
     else:
-        close, best = _segment_tests(images, labels, off, scan.disagreement * medians[0])
+        close, best = _segment_tests(images, labels, off, _DISAGREEMENT * medians[0])
         labels = _without(labels, flags, best, Flag.SHIFT_LIKELY)
         labels = _without(labels, flags, close, Flag.INCONSISTENT)
     return ScanLabels(
@@ -197,28 +186,12 @@ def label_scan(
     )
 
 
-def label_single_image(
-    h: Hypotheses,
-    lines: Lines,
-    settings: LabelSettings,
-    *,
-    evidence: ArrayF | None = None,
-    ratio: float = 2.0,
-    full_share: float = 0.6,
-) -> Labels:
-    """Labels of one image without a map.
-
-    Parameters
-    ----------
-    lines : whose spacing decides whether the surface can be asked.
-    evidence : see `label_image`.
-    ratio : how much more a shifted segment must bend the surface than the segment as it is.
-    full_share : share of a segment's rows in which all lines must be seen, else.
-    """
-    found = label_image(h, settings, evidence=evidence)
-    sure = _all_lines_seen(h, found, full_share)
+def label_single_image(h: Hypotheses, lines: Lines) -> Labels:
+    """Labels of one image without a map; the spacing of the lines decides if the surface can be asked."""
+    found = label_image(h)
+    sure = _all_lines_seen(h, found)
     if spacing_irregularity(lines) > _LEAST_IRREGULARITY:
-        sure |= _straightest(h, found, ratio)
+        sure |= _straightest(h, found)
     return replace(found, label=np.where(sure, found.label, -1))
 
 
@@ -287,14 +260,10 @@ def _map_of(
 
 
 def _confirmed(
-    images: Sequence[Hypotheses],
-    poses: Sequence[Pose],
-    labels: Sequence[ArrayI],
-    settings: MapSettings,
-    scan: ScanSettings,
+    images: Sequence[Hypotheses], poses: Sequence[Pose], labels: Sequence[ArrayI], settings: MapSettings
 ) -> list[ArrayB]:
     """Which labels (n,) other lines confirm, for each image."""
-    near = replace(settings, radius_mm=scan.confirm_radius_mm, tolerance_mm=scan.confirm_tolerance_mm)
+    near = replace(settings, radius_mm=_CONFIRM_RADIUS_MM, tolerance_mm=_CONFIRM_TOLERANCE_MM)
     surface = _map_of(images, poses, labels, near)
     out = []
     for k, (h, pose, label) in enumerate(zip(images, poses, labels, strict=True)):
@@ -315,7 +284,7 @@ def _confirmed(
         np.put_along_axis(share, label[given, None], 0.0, axis=1)
         against = state[given, label[given]] == CONTRADICTED
         good = np.zeros(len(label), dtype=np.bool_)
-        good[given] = (own >= scan.confirm_share) & ~against & (share.max(axis=1, initial=0.0) <= 0.6 * own)
+        good[given] = (own >= _CONFIRM_SHARE) & ~against & (share.max(axis=1, initial=0.0) <= 0.6 * own)
         out.append(good)
     return out
 
@@ -325,13 +294,10 @@ def _disagreement(
     poses: Sequence[Pose],
     labels: Sequence[ArrayI],
     settings: MapSettings,
-    scan: ScanSettings,
     shift: int,
 ) -> list[ArrayF]:
     """Differences of depth (mm) of labelled points to what other lines saw there, all labels shifted."""
-    near = replace(
-        settings, radius_mm=scan.confirm_radius_mm, tolerance_mm=1.0, growth=0.0, free_length_mm=0.0
-    )
+    near = replace(settings, radius_mm=_CONFIRM_RADIUS_MM, tolerance_mm=1.0, growth=0.0, free_length_mm=0.0)
     moved = []
     for h, label in zip(images, labels, strict=True):
         j = label + shift
@@ -383,7 +349,7 @@ def _median(values: ArrayF) -> float:
     return float(np.median(met)) if len(met) else float("nan")
 
 
-def _straightest(h: Hypotheses, found: Labels, ratio: float) -> ArrayB:
+def _straightest(h: Hypotheses, found: Labels) -> ArrayB:
     """Whether a segment bends the surface less than shifted by one or two, (n,)."""
     n, L = h.possible.shape
     given = np.flatnonzero(found.label >= 0)
@@ -405,14 +371,14 @@ def _straightest(h: Hypotheses, found: Labels, ratio: float) -> ArrayB:
     groups = bend.groupby("segment")
     median = groups.median()
     others = median[[shift for shift in _IMAGE_SHIFTS if shift]].min(axis=1)
-    clear = (others > ratio * median[0]) & (others - median[0] > _LEAST_BEND_MM)
+    clear = (others > _BEND_RATIO * median[0]) & (others - median[0] > _LEAST_BEND_MM)
     good = clear & (groups.size() >= max(8, 30 // h.detections.row_step))
     out = np.zeros(h.n_segments, dtype=np.bool_)
     out[good.index[good.to_numpy()].to_numpy(dtype=np.int64)] = True
     return out[h.segment]
 
 
-def _all_lines_seen(h: Hypotheses, found: Labels, share: float) -> ArrayB:
+def _all_lines_seen(h: Hypotheses, found: Labels) -> ArrayB:
     """Whether all lines have a detection in most rows of a segment, (n,)."""
     rows, at = np.unique(h.detections.row, return_inverse=True)
     count = np.zeros(len(rows))
@@ -420,4 +386,4 @@ def _all_lines_seen(h: Hypotheses, found: Labels, share: float) -> ArrayB:
     full = count[at] == h.possible.shape[1]
     size = np.maximum(np.bincount(h.segment, minlength=h.n_segments), 1)
     seen = np.bincount(h.segment, weights=full.astype(np.float64), minlength=h.n_segments)
-    return np.asarray((seen / size >= share)[h.segment])
+    return np.asarray((seen / size >= _FULL_SHARE)[h.segment])

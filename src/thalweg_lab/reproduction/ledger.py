@@ -913,29 +913,19 @@ def unknowns(published: Published, *, kind: Kind, lines: int, fixed_fans: bool =
     return Found(value=float(len(line_model(kind, nominal, fixed_fans=fixed_fans).names)))
 
 
-def opening_of_all_lines(published: Published) -> Found:
-    """Steps between the first and the last line, degrees."""
-    return Found(value=(float(published["C303 lines"]) - 1.0) * float(published["C303 step"]))
+def arithmetic(published: Published, *, formula: str, n: str = "", **names: str | float) -> Found:
+    """A formula of published numbers and of constants, by the names that the entry gives them.
 
-
-def difference(published: Published, *, of: str, minus: str) -> Found:
-    """Of two published numbers."""
-    return Found(value=float(published[of]) - float(published[minus]))
-
-
-def percent(published: Published, *, of: str, part: str) -> Found:
-    """One published number in percent of another."""
-    return Found(value=100.0 * float(published[part]) / float(published[of]), n=float(published[of]))
-
-
-def times(published: Published, *, of: str, factor: float) -> Found:
-    """A published number times a factor."""
-    return Found(value=factor * float(published[of]))
-
-
-def ratio(published: Published, *, of: str, over: str) -> Found:
-    """Of two published numbers."""
-    return Found(value=float(published[of]) / float(published[over]))
+    Parameters
+    ----------
+    published : numbers by the names of their entries.
+    formula : as Python writes it, with ``sqrt`` and the like.
+    n : entry with the number of observations.
+    names : of the formula: name of an entry, or a constant.
+    """
+    known = {name: float(published[of]) if isinstance(of, str) else of for name, of in names.items()}
+    value: Any = pd.eval(formula, local_dict=known, engine="python")
+    return Found(value=float(value), n=float(published[n]) if n else float("nan"))
 
 
 def survey_rmse(published: Published, *, name: str) -> Found:
@@ -977,15 +967,11 @@ FUNCTIONS: Final[dict[str, Callable[..., Found]]] = {
         index_change,
         pose_spoils,
         unknowns,
-        opening_of_all_lines,
-        difference,
-        percent,
-        times,
-        ratio,
+        arithmetic,
         survey_rmse,
     )
-}
-"""What the ledger may name in ``computed``."""
+} | {"conversion": arithmetic}
+"""What the ledger may name in ``computed``; a ``conversion`` of a unit may tell a misprint."""
 
 
 # ---------------------------------------------------------------- numbers that the ledger points to

@@ -44,7 +44,6 @@ from thalweg_lab.reproduction.paper_models import SMALL_RIVER_WIDTH_M, refract_a
 
 Published = Mapping[str, Any]
 
-LIGHT_MPS: Final = 299_792_458.0
 DISTANCES_M: Final = (5.0, 10.0, 25.0, 50.0)
 """Distances of P2 Table 1 and T Table 3.1."""
 _SEED: Final = 1
@@ -181,16 +180,6 @@ def cone_parameters(published: Published) -> Found:
 # ---------------------------------------------------------------- arithmetic of printed numbers
 
 
-def component(published: Published, *, of: str) -> Found:
-    """One of three equal components of a 3D sigma in cm, mm (P2 eq. 7)."""
-    return Found(value=math.sqrt((10.0 * float(published[of])) ** 2 / 3.0))
-
-
-def footprint(published: Published, *, divergence: str, range_m: float) -> Found:
-    """Diameter of a footprint, cm, of a divergence in mrad."""
-    return Found(value=0.1 * float(published[divergence]) * range_m)
-
-
 def normal_share(published: Published, *, sigmas: float) -> Found:
     """Percent of a normal variable within so many sigmas."""
     return Found(value=100.0 * math.erf(sigmas / math.sqrt(2.0)))
@@ -224,33 +213,6 @@ def distances_below(published: Published, *, of: str, than: str) -> Found:
     return Found(value=float(sum(below)), n=float(len(below)))
 
 
-def implied_turn_rate(published: Published, *, row: str, sigma: str, distance_m: float) -> Found:
-    """Turn rate that a printed cell of the timing row asks for at a distance, degrees a second."""
-    cell_m = 1e-3 * float(published[f"{row} {distance_m:g} m"])
-    return Found(value=float(np.rad2deg(cell_m / (float(published[sigma]) * distance_m))))
-
-
-def effect_of_time(published: Published, *, rate: str, sigma: str, distance_m: float) -> Found:
-    """What an error of time in ns costs at a distance on a turning platform, mm."""
-    rad = np.deg2rad(float(published[rate])) * float(published[sigma]) * 1e-9
-    return Found(value=float(rad * distance_m * 1e3))
-
-
-def mrad(published: Published, *, of: str) -> Found:
-    """A printed angle in degrees as milliradians."""
-    return Found(value=float(np.deg2rad(float(published[of]))) * 1e3)
-
-
-def knots(published: Published, *, of: str) -> Found:
-    """A speed in knots as m/s."""
-    return Found(value=float(published[of]) * 1852.0 / 3600.0)
-
-
-def light_path(published: Published, *, of: str) -> Found:
-    """Way of light in a time in ns, mm."""
-    return Found(value=float(published[of]) * 1e-9 * LIGHT_MPS * 1e3)
-
-
 def lidar_constant(published: Published, *, what: str) -> Found:
     """A constant that the reader decodes with: ``lasers``, or the ``vertical view`` of all, degrees."""
     view_deg = float(np.ptp(VLP16.elevation_deg))
@@ -277,16 +239,6 @@ def shots_per_second(published: Published) -> Found:
     return Found(value=float(VLP16.lasers / VLP16.firing_s))
 
 
-def images_of(published: Published, *, minutes: str, interval: str) -> Found:
-    """Images that an interval in s gives in a time in minutes."""
-    return Found(value=60.0 * float(published[minutes]) / float(published[interval]))
-
-
-def pixel_by_lens(published: Published, *, pixel: str, lens: str, path_mm: float) -> Found:
-    """Pixel in object space of a lens over a path, mm: the pixel in um times path over focal length."""
-    return Found(value=1e-3 * float(published[pixel]) * path_mm / float(published[lens]))
-
-
 ARITHMETIC: Final[dict[str, Callable[..., Found]]] = {
     function.__name__: function
     for function in (
@@ -301,25 +253,16 @@ ARITHMETIC: Final[dict[str, Callable[..., Found]]] = {
         river_width,
         cone_unknowns,
         cone_parameters,
-        component,
-        footprint,
         normal_share,
         root_of_squares,
         root_of_named,
         largest_of,
         distances_led_by,
         distances_below,
-        implied_turn_rate,
-        effect_of_time,
-        mrad,
-        knots,
-        light_path,
         shots_per_second,
-        images_of,
         lidar_constant,
         budget_lever,
         budget_ratio,
-        pixel_by_lens,
     )
 }
 """What the ledger may name in ``computed`` beside the functions of `thalweg_lab.reproduction.ledger`."""

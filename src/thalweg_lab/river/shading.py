@@ -15,9 +15,6 @@ _UPPER: Final = 0.21
 """Exposed light of the upper quartile of a picture, which the tone curve makes 0.6 of white in sRGB: a camera
 meters for the middle tones, and the sky or a wet stone may burn out."""
 
-EXTINCTION_PM: Final = np.array([1.9, 1.35, 2.3])
-"""Diffuse extinction of turbid river water for red, green and blue, 1/m: the bed is seen to about a metre."""
-
 MURK: Final = np.array([0.036, 0.050, 0.030])
 """Share of daylight that deep turbid water sends back."""
 

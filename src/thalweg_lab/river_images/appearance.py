@@ -62,7 +62,7 @@ def kinds() -> ArrayI:
     return np.array([_KIND.get(m.name, PLAIN) for m in Material])
 
 
-def surface_colour(
+def surface_appearance(
     points_wcs_m: ArrayLike,
     normal_wcs: ArrayLike,
     material: ArrayLike,
@@ -70,8 +70,8 @@ def surface_colour(
     footprint_m: ArrayLike,
     *,
     water_level_m: float,
-) -> ArrayF:
-    """Linear RGB (n, 3) of surface points: the share of light that they reflect.
+) -> tuple[ArrayF, ArrayF]:
+    """Linear RGB (n, 3) that surface points reflect, and normals (n, 3) with the fine relief.
 
     Parameters
     ----------
@@ -86,21 +86,6 @@ def surface_colour(
     ------
     GeometryError : arrays of different lengths, or an unknown material.
     """
-    return surface_appearance(
-        points_wcs_m, normal_wcs, material, variation, footprint_m, water_level_m=water_level_m
-    )[0]
-
-
-def surface_appearance(
-    points_wcs_m: ArrayLike,
-    normal_wcs: ArrayLike,
-    material: ArrayLike,
-    variation: ArrayLike,
-    footprint_m: ArrayLike,
-    *,
-    water_level_m: float,
-) -> tuple[ArrayF, ArrayF]:
-    """Colour as `surface_colour` and normals (n, 3) with the fine relief, for light and shade."""
     p, normal = (np.ascontiguousarray(a, dtype=np.float64) for a in (points_wcs_m, normal_wcs))
     code = np.ascontiguousarray(material, dtype=np.int64)
     same, footprint = (np.ascontiguousarray(a, dtype=np.float64) for a in (variation, footprint_m))

@@ -35,14 +35,14 @@ from thalweg.bathymetry import (
     shore_points,
     validate_bed,
 )
-from thalweg.core import ArrayF, LocalFrame
+from thalweg.core import ArrayB, ArrayF
 from thalweg.ingest.nmea import read_nmea
 from thalweg.navigation.ins_gnss import PoseCorrelation
 from thalweg.settings.sections import Bathymetry, EchoSounder
 from thalweg_lab.random_numbers import gauss_markov, generator
 from thalweg_lab.reach import River as Reach
 from thalweg_lab.settings import TwinConfig
-from thalweg_lab.studies.study import Result, Seed, Study, Tables
+from thalweg_lab.studies.study import Study
 from thalweg_lab.studies.survey import BARE, MOUNTS, Logs, Survey, process, record, survey_settings
 from thalweg_lab.truth import DISTANCES_M, ratio_of_surveys, true_bed_m
 
@@ -214,7 +214,7 @@ def bed_of(
         banks,
         level,
         strip,
-        frame=LocalFrame(**s["campaign"]["origin"]),
+        frame=river.logs.frame,
         crs=CRS.from_user_input(s["campaign"]["crs"]),
         echo=echo,
         settings=settings,
@@ -227,6 +227,14 @@ def bed_of(
 # ---------------------------------------------------------------- errors
 
 
+def known_cells(bed: Bed, river: River) -> tuple[ArrayB, ArrayF]:
+    """Which cells (n,) of a bed are known, and their places (k, 2) in wcs."""
+    known = np.isfinite(bed.up_m)
+    frame, crs = river.logs.frame, CRS.from_user_input(river.logs.settings["campaign"]["crs"])
+    places = np.column_stack([bed.grid.centres_m()[known], np.full(known.sum(), frame.h_ell_m)])
+    return known, frame.from_map(places, crs)[:, :2]
+
+
 def squares_of(bed: Bed, soundings: pd.DataFrame, river: River) -> pd.DataFrame:
     """Sums of squared errors and of predicted variances of a survey.
 
@@ -235,17 +243,14 @@ def squares_of(bed: Bed, soundings: pd.DataFrame, river: River) -> pd.DataFrame:
     table : a row for the soundings, and one a class of distance to the nearest datum of the bed's cells;
         quantity, from_m, to_m, n, observed_m2, predicted_m2, normalised (sum), outside (95 %), error_m (sum).
     """
-    s = river.logs.settings
-    frame, crs = LocalFrame(**s["campaign"]["origin"]), CRS.from_user_input(s["campaign"]["crs"])
     used = soundings[soundings["used"]]
     parts = used[["sigma_white_m", "sigma_slow_m", "sigma_common_m"]].to_numpy(np.float64)
     error = used["up_m"].to_numpy() - true_bed_m(
         river.logs.scene, used[["east_m", "north_m"]].to_numpy(np.float64)
     )
     rows = [sums_of("soundings", 0.0, np.inf, error, np.linalg.norm(parts, axis=1))]
-    known = np.isfinite(bed.up_m)
-    places = np.column_stack([bed.grid.centres_m()[known], np.full(known.sum(), frame.h_ell_m)])
-    error = bed.up_m[known] - true_bed_m(river.logs.scene, frame.from_map(places, crs)[:, :2])
+    known, places = known_cells(bed, river)
+    error = bed.up_m[known] - true_bed_m(river.logs.scene, places)
     sigma = np.hypot(bed.sigma_m[known], bed.sigma_common_m[known])
     away = bed.distance_m[known]
     for low, high in pairwise(DISTANCES_M):
@@ -273,11 +278,8 @@ def sums_of(quantity: str, low: float, high: float, error: ArrayF, sigma: ArrayF
 
 def sections_of(bed: Bed, banks: Banks, river: River) -> pd.DataFrame:
     """Width of the water and mean height of the bed below it along the river: s_m, width_m, mean_bed_m."""
-    s = river.logs.settings
-    frame, crs = LocalFrame(**s["campaign"]["origin"]), CRS.from_user_input(s["campaign"]["crs"])
-    known = np.isfinite(bed.up_m)
-    places = np.column_stack([bed.grid.centres_m()[known], np.full(known.sum(), frame.h_ell_m)])
-    along = banks.line.to_flow(frame.from_map(places, crs)[:, :2])[0]
+    known, places = known_cells(bed, river)
+    along = banks.line.to_flow(places)[0]
     shore = bed.data[bed.data["source"] == "bank"].sort_values("s_m")
     below = bed.up_m[known] - np.interp(along, shore["s_m"], shore["up_m"])
     mean = pd.Series(below).groupby(np.floor(along / STATION_M)).agg(["mean", "size"])
@@ -495,15 +497,10 @@ def verdict_of(rows: pd.DataFrame, level: float) -> dict[str, Any]:
     }
 
 
-def _rows(seed: Seed) -> Tables:
-    return {"squares": surveyed(seed.number, seed.folder, (NONE, *MISTAKES))}
-
-
-def _results(tables: Tables, files: Sequence[Path]) -> Mapping[str, Result]:
-    return {"verdicts": verdicts(tables["squares"])}
-
-
-STUDY: Final = Study(rows=_rows, results=_results)
+STUDY: Final = Study(
+    rows=lambda seed: {"squares": surveyed(seed.number, seed.folder, (NONE, *MISTAKES))},
+    results=lambda tables, files: {"verdicts": verdicts(tables["squares"])},
+)
 FINDINGS: Final = Study(
     rows=lambda seed: asked(seed.number, seed.folder),
     results=lambda tables, files: {

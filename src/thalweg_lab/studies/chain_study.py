@@ -18,7 +18,7 @@ assumed inputs, and the processing knows them.
 
 import logging
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -51,10 +51,11 @@ from thalweg.navigation.camera import CloudSettings, camera_trajectory, lidar_mo
 from thalweg.navigation.fusion import FusionSettings, fuse_trajectory, with_own_jitter
 from thalweg.settings.sections import Accuracy, CameraCloud, Fused, ReferenceSettings
 from thalweg.surface import Area, Surface
-from thalweg_lab.random_numbers import generator
+from thalweg_lab.random_numbers import generator, lasting
 from thalweg_lab.reach import River
 from thalweg_lab.settings import TwinConfig
-from thalweg_lab.studies.study import Result, Seed, Study, Tables
+from thalweg_lab.studies.outage import drawn_poses
+from thalweg_lab.studies.study import Result, Seed, Study, Tables, joined
 from thalweg_lab.studies.survey import Logs, ins_trajectory, orient, record, reference_mesh, survey_settings
 from thalweg_lab.truth import OWN_TIMES, carried_by_camera, chains_truth_table
 from thalweg_lab.voyage import Motion, Voyage, true_trajectory
@@ -105,9 +106,6 @@ TURN_RATE_DEGPS: Final = 20.0
 """Greatest turn rate, with which the root mean square about the vertical is 7 degrees/s: the angular speed
 that P2 6.1.2 and T 3.1.2 assume for every moment."""
 CLEAN: Final[dict[str, Any]] = {"gnss": {"shadow": False}}
-MARKS: Final = 300.0
-RESIDUAL_PX: Final = 0.5
-"""What the table of poses says of the marks of an image; no trajectory uses it."""
 
 DISTURBED: Final = "disturbed"
 UNDISTURBED: Final = "undisturbed"
@@ -121,7 +119,6 @@ _TRUTH: Final = (
     ("sigma_heading", "sigma_heading_deg"),
     ("normalised_pose", "normalised_pose"),
 )
-_ABOUT: Final = ["setting", "chain", "seed"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -231,32 +228,28 @@ def bank_area(twin: TwinConfig) -> Area:
     )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Found:
-    """What came of one survey: for each chain a table of kind ``cloud_to_mesh`` and what became of its shots;
-    and the errors of the poses (`chains_truth_table`).
+def survey_chains(seed: int, study: ChainStudy, world: World, folder: Path) -> Tables:
+    """Survey the river once and compare the clouds of all chains; the files are deleted again.
+
+    Returns
+    -------
+    tables : ``distances`` (kind ``cloud_to_mesh``) and ``counts`` (what became of the shots) with ``chain``;
+        ``truth``, errors of the poses (`chains_truth_table`); all with ``setting`` and ``seed``.
     """
-
-    distances: dict[str, pd.DataFrame]
-    counts: dict[str, pd.DataFrame]
-    truth: pd.DataFrame
-
-
-def survey_chains(seed: int, study: ChainStudy, world: World, folder: Path) -> Found:
-    """Survey the river once and compare the clouds of all chains; the files are deleted again."""
     logging.getLogger("thalweg").setLevel(logging.ERROR)
     settings = study.settings(seed)
     logs = record(settings, folder, scene=world.scene)
     trajectories, mounts, used, _ = trajectories_of(logs, study.images)
     surface = Surface(world.mesh)
     how = comparison_settings(settings, seed)
-    distances, counts = {}, {}
+    distances, counts = [], []
     for name in CHAINS:
         survey = orient(logs, trajectories[name], name=name, mount=mounts[name])
-        distances[name] = compare_with_mesh(
+        found, _ = compare_with_mesh(
             survey.points, world.mesh, area=world.area, settings=how, surface=surface
-        )[0]
-        counts[name] = survey.counts
+        )
+        distances.append(found.assign(chain=name))
+        counts.append(survey.counts.assign(chain=name))
         survey.points.unlink()
     camera = Rigid.from_mount(logs.true_mounts["camera"])
     truth = chains_truth_table(
@@ -266,7 +259,8 @@ def survey_chains(seed: int, study: ChainStudy, world: World, folder: Path) -> F
         carried={"camera": carried_by_camera(camera, used)},
     )
     logs.remove()
-    return Found(distances=distances, counts=counts, truth=truth)
+    tables = {"distances": pd.concat(distances), "counts": pd.concat(counts), "truth": truth}
+    return {name: table.assign(setting=study.name, seed=seed) for name, table in tables.items()}
 
 
 def trajectories_of(
@@ -348,28 +342,23 @@ def draw_images(
     R = R_wcs_ics @ true_T_ics_ccs.R
     root = _roots(R, errors)
     keep = float(np.exp(-errors.interval_s / errors.time_s))
-    unit = generator(seed, "drawn images poses").standard_normal((n, 6))
-    for k in range(1, n):
-        unit[k] = keep * unit[k - 1] + np.sqrt(1 - keep**2) * unit[k]
+    white = generator(seed, "drawn images poses").standard_normal((n, 6))
+    unit = lasting(white, errors.interval_s, errors.time_s)
     # an error moves the estimate to the truth
     error = np.einsum("nij,nj->ni", root, unit)
     following = np.zeros((n, 6, 6))
     following[:-1] = keep * root[:-1] @ np.swapaxes(root[1:], 1, 2)
-    return ImagePoses(
-        frame=frame,
-        images=tuple(f"{k:05d}.jpg" for k in range(n)),
-        t_gps_s=stamp,
-        sigma_t_s=np.full(n, np.hypot(errors.jitter_s, errors.sigma_clock_s)),
-        oriented=np.ones(n, dtype=np.bool_),
-        reasons=("",) * n,
-        centre_wcs_m=motion.position_wcs_m(exposed) + R_wcs_ics @ true_T_ics_ccs.shift_m - error[:, :3],
-        R_wcs_ccs=exp_rotation(-error[:, 3:]) @ R,
-        cov_pose_wcs=root @ np.swapaxes(root, 1, 2),
-        cov_next=following,
-        n_marks=np.full(n, MARKS),
-        rms_px=np.full(n, RESIDUAL_PX),
-        facts={"image_times": {"sigma_common_s": errors.sigma_clock_s, "independent_of_ins": True}},
+    poses = drawn_poses(
+        frame,
+        stamp,
+        np.hypot(errors.jitter_s, errors.sigma_clock_s),
+        motion.position_wcs_m(exposed) + R_wcs_ics @ true_T_ics_ccs.shift_m - error[:, :3],
+        exp_rotation(-error[:, 3:]) @ R,
+        root @ np.swapaxes(root, 1, 2),
+        following,
     )
+    facts = {"image_times": {"sigma_common_s": errors.sigma_clock_s, "independent_of_ins": True}}
+    return replace(poses, facts=facts)
 
 
 def _roots(R_wcs_ccs: ArrayF, errors: ImageErrors) -> ArrayF:
@@ -410,8 +399,8 @@ def both_settings() -> list[ChainStudy]:
     return [ChainStudy.of(DISTURBED, DISTURBANCES), ChainStudy.of(UNDISTURBED, CLEAN)]
 
 
-def study_table(found: Mapping[str, Sequence[Found]]) -> pd.DataFrame:
-    """One row a setting, chain and set of points.
+def study_table(tables: Tables) -> pd.DataFrame:
+    """One row a setting, chain and set of points, from the tables of `survey_chains` of all surveys.
 
     Columns ``setting, chain, points, surveys, n``; ``mean_m`` with ``sigma_mean_m`` of the spread over the
     surveys; ``std_m, rmse_m`` of all points together, ``rmse_least_m, rmse_most_m`` of single surveys;
@@ -419,18 +408,19 @@ def study_table(found: Mapping[str, Sequence[Found]]) -> pd.DataFrame:
     truth: ``rms_place_m`` and so on, root mean square over the surveys.
     """
     rows = []
-    for setting, surveys in found.items():
-        for name in CHAINS:
-            truth = _truth(surveys, name)
-            share = float(np.mean([_share(f.counts[name]) for f in surveys]))
-            for points in (ALL, WITHOUT_OUTLIERS):
-                parts = [f.distances[name][point_sets(f.distances[name])[points]] for f in surveys]
-                rows.append(
-                    dict[str, Any](setting=setting, chain=name, points=points, surveys=len(parts))
-                    | _distances(parts)
-                    | {"share_with_pose": share}
-                    | truth
-                )
+    for (setting, name), distances in tables["distances"].groupby(["setting", "chain"], sort=False):
+        truth = tables["truth"].query("setting == @setting")
+        counts = tables["counts"].query("setting == @setting and chain == @name")
+        share = float(np.mean([_share(part) for _, part in counts.groupby("seed", sort=False)]))
+        surveys = [part for _, part in distances.groupby("seed", sort=False)]
+        for points in (ALL, WITHOUT_OUTLIERS):
+            parts = [part[point_sets(part)[points]] for part in surveys]
+            rows.append(
+                dict[str, Any](setting=setting, chain=name, points=points, surveys=len(parts))
+                | _distances(parts)
+                | {"share_with_pose": share}
+                | _truth(truth, str(name))
+            )
     return pd.DataFrame(rows)
 
 
@@ -479,18 +469,15 @@ def _distances(parts: Sequence[pd.DataFrame]) -> dict[str, float]:
     }
 
 
-def _truth(surveys: Sequence[Found], chain: str) -> dict[str, float]:
-    out = {}
-    for quantity, column in _TRUTH:
-        values = []
-        for f in surveys:
-            rows = f.truth[(f.truth["times"] == OWN_TIMES) & (f.truth["quantity"] == quantity)]
-            values.append(float(rows[chain].iloc[0]))
-        squares = (
-            np.mean(values) if quantity.startswith("normalised") else np.sqrt(np.mean(np.square(values)))
-        )
-        out[column] = float(squares)
-    return out
+def _truth(truth: pd.DataFrame, chain: str) -> dict[str, float]:
+    """Errors of the poses of a chain at its own times, over all surveys."""
+    own = truth[truth["times"] == OWN_TIMES].groupby("quantity")[chain]
+    return {
+        column: float(own.get_group(quantity).mean())
+        if quantity.startswith("normalised")
+        else root_mean_square(own.get_group(quantity))
+        for quantity, column in _TRUTH
+    }
 
 
 def _share(counts: pd.DataFrame) -> float:
@@ -501,49 +488,15 @@ def _share(counts: pd.DataFrame) -> float:
 # ---------------------------------------------------------------- rows of one seed, and what comes of all
 
 
-def as_rows(found: Mapping[str, Found], seed: int) -> Tables:
-    """What was found in the settings of one seed, as tables; `from_rows` reads them."""
-    distances, counts, truth = [], [], []
-    for setting, survey in found.items():
-        distances += [
-            survey.distances[name].assign(chain=name, setting=setting, seed=seed) for name in CHAINS
-        ]
-        counts += [survey.counts[name].assign(chain=name, setting=setting, seed=seed) for name in CHAINS]
-        truth.append(survey.truth.assign(setting=setting, seed=seed))
-    return {
-        name: pd.concat(parts, ignore_index=True)
-        for name, parts in (("distances", distances), ("counts", counts), ("truth", truth))
-    }
-
-
-def from_rows(tables: Tables) -> dict[str, list[Found]]:
-    """Name of a setting -> what was found, in the order of the seeds."""
-    parts = {
-        name: {
-            key: rows.drop(columns=_ABOUT).reset_index(drop=True)
-            for key, rows in tables[name].groupby(_ABOUT, sort=False)
-        }
-        for name in ("distances", "counts")
-    }
-    found: dict[str, list[Found]] = {}
-    for (setting, seed), truth in tables["truth"].groupby(["setting", "seed"], sort=False):
-        of = {name: {chain: rows[setting, chain, seed] for chain in CHAINS} for name, rows in parts.items()}
-        truth = truth.drop(columns=["setting", "seed"]).reset_index(drop=True)
-        survey = Found(distances=of["distances"], counts=of["counts"], truth=truth)
-        found.setdefault(str(setting), []).append(survey)
-    return found
-
-
 def _study_rows(seed: Seed) -> Tables:
     """Both settings are surveys of one scene."""
     settings = both_settings()
     world = make_world(settings[0], seed.folder / "world")
-    found = {each.name: survey_chains(seed.number, each, world, seed.folder / each.name) for each in settings}
-    return as_rows(found, seed.number)
+    return joined([survey_chains(seed.number, each, world, seed.folder / each.name) for each in settings])
 
 
 def _study_results(tables: Tables, files: Sequence[Path]) -> Mapping[str, Result]:
-    table = study_table(from_rows(tables))
+    table = study_table(tables)
     return {"table": table, "goals": goals_table(table)}
 
 

@@ -6,16 +6,13 @@ because most beams of a real scanner meet none. The intersection of beam and con
 taken from the model that is tested.
 """
 
-from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 import pandas as pd
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
-from scipy.stats import chi2
 
 from thalweg.calibration import Cone
 from thalweg.calibration.ins_lidar import (
@@ -33,7 +30,6 @@ from thalweg.core import (
     ArrayF,
     LocalFrame,
     Rigid,
-    ThalwegError,
     Trajectory,
     roll_pitch_heading,
     rotation_enu_body,
@@ -41,7 +37,7 @@ from thalweg.core import (
 )
 from thalweg.settings.sections import RunErrors
 from thalweg_lab.random_numbers import gauss_markov, generator
-from thalweg_lab.studies.study import Result, Seed, Study, Tables
+from thalweg_lab.studies.study import Study, attempted, band_of_squares
 
 START_S: Final = 4.0e8
 FRAME: Final = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
@@ -55,7 +51,6 @@ COV_FIELD: Final = np.diag(np.square(np.r_[0.004, 0.004, 0.006, np.deg2rad([0.03
 _INS_HZ: Final = 50.0
 _GNSS_HZ: Final = 10.0
 
-Trial = Callable[[int], dict[str, Any]]
 """From a seed to the line of its calibration."""
 NEAR: Final = Rigid.from_opk(np.deg2rad([0.0, -90.0, 0.0]), [-0.350, 0.0, -0.250])
 """The mount by a ruler, so that seeds need not search."""
@@ -356,17 +351,12 @@ def ins_lidar_trial(seed: int) -> dict[str, Any]:
     }
 
 
-def study(trial: Trial, seeds: Sequence[int]) -> pd.DataFrame:
-    """One line a seed: errors and normalised squares, or the failure."""
-    return pd.DataFrame([_line(trial, seed) for seed in seeds])
-
-
 def judged(found: pd.DataFrame, components: dict[str, int], level: float = LEVEL) -> pd.DataFrame:
     """Means of the normalised squares of a study, each with its chi-square band.
 
     Parameters
     ----------
-    found : what `study` gave.
+    found : rows of `thalweg_lab.studies.study.attempted`.
     components : columns that are judged, with their numbers of components.
     level : share of studies that lie outside the band although their covariances are right.
 
@@ -380,7 +370,7 @@ def judged(found: pd.DataFrame, components: dict[str, int], level: float = LEVEL
     for name, k in components.items():
         n = k * len(good)
         mean = float(good[name].mean()) if n else float("nan")
-        low, high = (float(chi2.ppf(q, n)) / n if n else np.nan for q in (level / 2, 1 - level / 2))
+        low, high = band_of_squares(n, level)
         rows.append((name, len(found), len(found) - len(good), mean, low, high, bool(low <= mean <= high)))
     names = ("covariance", "seeds", "failures", "normalised", "band_low", "band_high", "inside")
     table = pd.DataFrame(rows, columns=list(names))
@@ -388,31 +378,13 @@ def judged(found: pd.DataFrame, components: dict[str, int], level: float = LEVEL
     return table.assign(**medians)
 
 
-def _line(trial: Trial, seed: int) -> dict[str, Any]:
-    try:
-        return {"seed": seed, "failure": "", **trial(seed)}
-    except ThalwegError as error:
-        return {"seed": seed, "failure": str(error)}
-
-
 def _square(error: ArrayF, cov: ArrayF) -> float:
     """Normalised square; 0 if the covariance is without bounds."""
     return float(error @ np.linalg.solve(cov, error)) / len(error) if np.isfinite(cov).all() else 0.0
 
 
-def _study_of(trial: Trial, components: dict[str, int], title: str) -> Study:
-    def rows(seed: Seed) -> Tables:
-        """Errors of one seed."""
-        return {"trials": study(trial, [seed.number])}
-
-    def results(tables: Tables, files: Sequence[Path]) -> Mapping[str, Result]:
-        """Table and page of all seeds."""
-        found = tables["trials"]
-        return {"table": judged(found, components)}
-
-    return Study(rows=rows, results=results)
-
-
-INS_LIDAR_STUDY: Final = _study_of(
-    ins_lidar_trial, INS_LIDAR, "Lidar on the moving boat: errors and sigmas over many seeds"
+INS_LIDAR_STUDY: Final = Study(
+    rows=lambda seed: {"trials": pd.DataFrame([attempted(ins_lidar_trial, seed.number)])},
+    results=lambda tables, files: {"table": judged(tables["trials"], INS_LIDAR)},
 )
+"""Lidar on the moving boat: errors and sigmas over many seeds."""

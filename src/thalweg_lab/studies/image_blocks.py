@@ -57,7 +57,6 @@ PREDICTED_RAD: Final = 0.005
 
 FACTORS: Final = (1.0, 1.5, 2.0, 3.0, 4.0)
 """Variances of what images tell of the lens over that by the model of their errors, for each block."""
-DEFAULT_FACTOR: Final[float] = BlockAdjustment().interior_variance
 
 _NUMBERS: Final = ("single", "joint", "independent", "rms_mm", "sigma_mm", "rms_mdeg", "sigma_mdeg", "check")
 
@@ -206,26 +205,21 @@ def normalised(error: ArrayF, cov: ArrayF) -> tuple[float, float, float]:
     return float(single.mean() / 6), float(whole @ np.linalg.solve(cov, whole) / len(whole)), independent
 
 
-def block_study(seeds: Sequence[int], folder: Path, spec: BlockSpec | None = None) -> pd.DataFrame:
-    """One line for each seed and factor of `FACTORS`.
+def block_study(seed: int, folder: Path, spec: BlockSpec | None = None) -> pd.DataFrame:
+    """One line for each factor of `FACTORS`.
 
     Columns ``seed, factor, images``; ``single, joint, independent`` as of `normalised`; ``rms_mm, sigma_mm,
     rms_mdeg, sigma_mdeg`` (root mean squares of coordinates and angles and of their sigmas); ``check,
     check_points`` (mean normalised square of a coordinate, and how many points); ``notes``; ``failure``: why
     there is no result, else empty.
     """
-    return pd.DataFrame([row for seed in seeds for row in _rows(seed, folder / str(seed), spec)])
-
-
-def _rows(seed: int, folder: Path, spec: BlockSpec | None) -> list[dict[str, Any]]:
-    """Of one block."""
     row: dict[str, Any] = {"seed": seed, "images": 0, **dict.fromkeys(_NUMBERS, np.nan), "check_points": 0}
     try:
         oriented, truth = rendered_block(seed, folder, spec)
     except ThalwegError as failure:
         told = {"notes": "", "failure": " ".join(str(failure).split())}
-        return [{**row, "factor": factor} | told for factor in FACTORS]
-    return [{**row, "factor": factor} | _numbers(oriented, truth, factor) for factor in FACTORS]
+        return pd.DataFrame([{**row, "factor": factor} | told for factor in FACTORS])
+    return pd.DataFrame([{**row, "factor": factor} | _numbers(oriented, truth, factor) for factor in FACTORS])
 
 
 def _numbers(oriented: Oriented, truth: ImagePoses, factor: float) -> dict[str, Any]:
@@ -240,19 +234,15 @@ def _numbers(oriented: Oriented, truth: ImagePoses, factor: float) -> dict[str, 
         "single": single,
         "joint": joint,
         "independent": independent,
-        "rms_mm": 1e3 * _rms(error[:, :3]),
-        "sigma_mm": 1e3 * _rms(sigma[:, :3]),
-        "rms_mdeg": 1e3 * _rms(np.degrees(error[:, 3:])),
-        "sigma_mdeg": 1e3 * _rms(np.degrees(sigma[:, 3:])),
+        "rms_mm": 1e3 * root_mean_square(error[:, :3]),
+        "sigma_mm": 1e3 * root_mean_square(sigma[:, :3]),
+        "rms_mdeg": 1e3 * root_mean_square(np.degrees(error[:, 3:])),
+        "sigma_mdeg": 1e3 * root_mean_square(np.degrees(sigma[:, 3:])),
         "check": float(told.mean() / 3) if len(told) else np.nan,
         "check_points": len(told),
         "notes": "; ".join(oriented.notes),
         "failure": "",
     }
-
-
-def _rms(values: ArrayF) -> float:
-    return root_mean_square(values)
 
 
 def pooled(table: pd.DataFrame) -> pd.DataFrame:
@@ -300,7 +290,7 @@ def summary(fit: pd.DataFrame, judged: pd.DataFrame) -> pd.DataFrame:
 
 
 def _study_rows(seed: Seed) -> Tables:
-    return {seed.kind: block_study([seed.number], seed.folder)}
+    return {seed.kind: block_study(seed.number, seed.folder)}
 
 
 def _study_results(tables: Tables, files: Sequence[Path]) -> dict[str, Result]:

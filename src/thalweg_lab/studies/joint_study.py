@@ -18,17 +18,24 @@ from typing import Any, Final
 
 import numpy as np
 import pandas as pd
-from pyproj import CRS
 
 from thalweg.bathymetry import Bed
-from thalweg.core import LocalFrame, cross_matrix, frame_of
+from thalweg.core import cross_matrix, frame_of
 from thalweg.figures import save
 from thalweg.lightsheet.optics import depth_lines, paper_4
 from thalweg.lightsheet.scanning import BED_POINTS
 from thalweg_lab.figures import joint_river_figure
 from thalweg_lab.random_numbers import generator
 from thalweg_lab.reproduction import SMALL_RIVER_WIDTH_M
-from thalweg_lab.studies.bed_study import ECHO_SOUNDER, River, bed_of, river_of, sums_of, verdict_of
+from thalweg_lab.studies.bed_study import (
+    ECHO_SOUNDER,
+    River,
+    bed_of,
+    known_cells,
+    river_of,
+    sums_of,
+    verdict_of,
+)
 from thalweg_lab.studies.study import Result, Seed, Study, Tables
 from thalweg_lab.studies.survey import BARE, MOUNTS, record, survey_settings
 from thalweg_lab.truth import true_bed_m
@@ -152,11 +159,7 @@ def sheet_points(river: River) -> pd.DataFrame:
 
 def cells_of(bed: Bed, river: River) -> pd.DataFrame:
     """Known cells of a bed: east_m, north_m (wcs), up_m, error_m, sigma_m, distance_m, depth_m (true)."""
-    s = river.logs.settings
-    frame, crs = LocalFrame(**s["campaign"]["origin"]), CRS.from_user_input(s["campaign"]["crs"])
-    known = np.isfinite(bed.up_m)
-    places = np.column_stack([bed.grid.centres_m()[known], np.full(known.sum(), frame.h_ell_m)])
-    at = frame.from_map(places, crs)[:, :2]
+    known, at = known_cells(bed, river)
     true = true_bed_m(river.logs.scene, at)
     return pd.DataFrame(
         {

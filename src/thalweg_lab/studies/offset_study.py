@@ -24,7 +24,7 @@ from thalweg.accuracy import ComparisonSettings, after_motion, compare_with_mesh
 from thalweg.core import GeometryError, root_mean_square
 from thalweg.settings.sections import Accuracy, ReferenceSettings
 from thalweg.surface import Area, Surface
-from thalweg_lab.studies.study import Result, Seed, Study, Tables
+from thalweg_lab.studies.study import Study
 from thalweg_lab.studies.survey import BARE, process, record, reference_mesh, survey_settings
 
 STATIONS: Final = 3
@@ -230,12 +230,8 @@ def _row(effect: Effect, of: Mapping[str, pd.DataFrame]) -> dict[str, Any]:
     }
 
 
-def _study_rows(seed: Seed) -> Tables:
-    return {"surveys": rows_of_seed(seed.number, seed.folder)}
-
-
-def _study_results(tables: Tables, files: Sequence[Path]) -> Mapping[str, Result]:
-    return {"table": offset_table(tables["surveys"])}
-
-
-STUDY: Final = Study(rows=_study_rows, results=_study_results, float_format=None)
+STUDY: Final = Study(
+    rows=lambda seed: {"surveys": rows_of_seed(seed.number, seed.folder)},
+    results=lambda tables, files: {"table": offset_table(tables["surveys"])},
+    float_format=None,
+)

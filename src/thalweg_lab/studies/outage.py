@@ -8,7 +8,6 @@ without logs.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -37,9 +36,9 @@ from thalweg_lab.instruments import (
     unstated_heading_errors_rad,
     velocity_errors_mps,
 )
-from thalweg_lab.random_numbers import generator
+from thalweg_lab.random_numbers import generator, lasting
 from thalweg_lab.settings import TwinConfig
-from thalweg_lab.studies.study import Result, Seed, Study, Tables
+from thalweg_lab.studies.study import Study, normalised_squares
 from thalweg_lab.voyage import Motion, Voyage, epochs
 
 FRAME: Final = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
@@ -207,13 +206,6 @@ def outage_trial(
     return pd.DataFrame(rows)
 
 
-def outage_study(
-    seeds: Sequence[int], spec: VoyageSpec | None = None, lengths_s: Sequence[float] = LENGTHS_S
-) -> pd.DataFrame:
-    """Outages of many surveys, see `outage_trial`."""
-    return pd.concat([outage_trial(seed, spec, lengths_s) for seed in seeds], ignore_index=True)
-
-
 def summarised(found: pd.DataFrame) -> pd.DataFrame:
     """By length and chain, as a figure shows it.
 
@@ -239,13 +231,12 @@ def summarised(found: pd.DataFrame) -> pd.DataFrame:
 def _judged(found: Fused, motion: Motion, at: ArrayF) -> dict[str, float]:
     error, cov = errors_at(found, motion, at)
     e, C = error[:, :3], cov[:, :3, :3]
-    square = np.einsum("ni,ni->n", e, np.linalg.solve(C, e[:, :, None])[:, :, 0]) / 3
     size = np.linalg.norm(e, axis=1)
     return {
         "rms_m": root_mean_square(size),
         "max_m": float(size.max()),
         "sigma_m": float(np.sqrt(np.mean(np.trace(C, axis1=1, axis2=2)))),
-        "normalised": float(square.mean()),
+        "normalised": float((normalised_squares(e, C) / 3).mean()),
     }
 
 
@@ -296,6 +287,33 @@ def unit_errors(rng: np.random.Generator, shape: int | tuple[int, ...], student:
     return np.asarray(rng.standard_t(student, shape) * np.sqrt((student - 2) / student))
 
 
+def drawn_poses(
+    frame: LocalFrame,
+    t_gps_s: ArrayF,
+    sigma_t_s: float,
+    centre_wcs_m: ArrayF,
+    R_wcs_ccs: ArrayF,
+    cov: ArrayF,
+    cov_next: ArrayF,
+) -> ImagePoses:
+    """Poses of images (n) that were drawn, not rendered; what they say of marks, no trajectory uses."""
+    n = len(t_gps_s)
+    return ImagePoses(
+        frame=frame,
+        images=tuple(f"{k:05d}.jpg" for k in range(n)),
+        t_gps_s=t_gps_s,
+        sigma_t_s=np.full(n, sigma_t_s),
+        oriented=np.ones(n, dtype=np.bool_),
+        reasons=("",) * n,
+        centre_wcs_m=centre_wcs_m,
+        R_wcs_ccs=R_wcs_ccs,
+        cov_pose_wcs=cov,
+        cov_next=cov_next,
+        n_marks=np.full(n, 300.0),
+        rms_px=np.full(n, 0.5),
+    )
+
+
 def _images(seed: int, spec: VoyageSpec, motion: Motion) -> tuple[ImagePoses, Rigid, float, Rigid]:
     """Poses of images with the errors of an image block, the mount as calibrated, the clock's offset, and the
     true mount.
@@ -312,35 +330,22 @@ def _images(seed: int, spec: VoyageSpec, motion: Motion) -> tuple[ImagePoses, Ri
     R = motion.R_wcs_ics(exposed)
     sigma = np.concatenate([spec.sigma_image_m, np.deg2rad(spec.sigma_image_deg)])
     keep = float(np.exp(-spec.image_interval_s / spec.image_time_s))
-    error = sigma * unit_errors(rng, (n, 6), spec.student)
-    for k in range(1, n):
-        error[k] = keep * error[k - 1] + np.sqrt(1 - keep**2) * error[k]
+    error = sigma * lasting(unit_errors(rng, (n, 6), spec.student), spec.image_interval_s, spec.image_time_s)
     C = np.diag(sigma**2)
     # an error moves the estimate to the truth
-    poses = ImagePoses(
-        frame=FRAME,
-        images=tuple(f"{k:05d}.jpg" for k in range(n)),
-        t_gps_s=stamp,
-        sigma_t_s=np.full(n, spec.jitter_s),
-        oriented=np.ones(n, dtype=np.bool_),
-        reasons=("",) * n,
-        centre_wcs_m=motion.position_wcs_m(exposed) + R @ true_mount.shift_m - error[:, :3],
-        R_wcs_ccs=exp_rotation(-error[:, 3:]) @ R @ true_mount.R,
-        cov_pose_wcs=np.tile(C, (n, 1, 1)),
-        cov_next=np.concatenate([np.tile(keep * C, (n - 1, 1, 1)), np.zeros((1, 6, 6))]),
-        n_marks=np.full(n, 300.0),
-        rms_px=np.full(n, 0.5),
+    poses = drawn_poses(
+        FRAME,
+        stamp,
+        spec.jitter_s,
+        motion.position_wcs_m(exposed) + R @ true_mount.shift_m - error[:, :3],
+        exp_rotation(-error[:, 3:]) @ R @ true_mount.R,
+        np.tile(C, (n, 1, 1)),
+        np.concatenate([np.tile(keep * C, (n - 1, 1, 1)), np.zeros((1, 6, 6))]),
     )
     return poses, T_ccs_ics, clock, true_mount
 
 
-def _study_rows(seed: Seed) -> Tables:
-    return {"outages": outage_trial(seed.number)}
-
-
-def _study_results(tables: Tables, files: Sequence[Path]) -> Mapping[str, Result]:
-    found = summarised(tables["outages"])
-    return {"table": found}
-
-
-STUDY: Final = Study(rows=_study_rows, results=_study_results)
+STUDY: Final = Study(
+    rows=lambda seed: {"outages": outage_trial(seed.number)},
+    results=lambda tables, files: {"table": summarised(tables["outages"])},
+)

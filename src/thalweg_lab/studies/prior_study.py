@@ -19,7 +19,7 @@ from thalweg.ingest.tracks import read_pos
 from thalweg.lidar import error_model_of_log
 from thalweg.navigation.camera import CloudSettings, camera_trajectory
 from thalweg.navigation.fusion import FusionSettings
-from thalweg.navigation.ins_gnss import ErrorModel, build_trajectory
+from thalweg.navigation.ins_gnss import ErrorModel
 from thalweg_lab.instruments import simulate_gnss, simulate_ins
 from thalweg_lab.random_numbers import generator
 from thalweg_lab.settings import TwinConfig
@@ -33,8 +33,8 @@ from thalweg_lab.studies.outage import (
     pose_errors,
     unit_errors,
 )
-from thalweg_lab.studies.study import Result, Seed, Study, Tables
-from thalweg_lab.studies.survey import Logs, log_settings, record, survey_settings
+from thalweg_lab.studies.study import Seed, Study, Tables, normalised_squares
+from thalweg_lab.studies.survey import Logs, ins_trajectory, log_settings, record, survey_settings
 from thalweg_lab.truth import ratio_of_surveys
 from thalweg_lab.voyage import Motion, Voyage
 
@@ -181,17 +181,7 @@ def _trajectory(logs: Logs, variant: Variant, seed: int, motion: Motion) -> tupl
     states, positions = _as_stated(
         variant, seed, read_anpp([anpp]).states, read_pos([pos]).positions, logs.frame
     )
-    s = logs.settings
-    keys = ("accept_fixes", "max_gap_s", "max_attitude_gap_s", "interpolation")
-    trajectory, _ = build_trajectory(
-        positions,
-        states,
-        logs.frame,
-        lever_ics_antenna_m=_lever(logs),
-        sigma_lever_m=s["mounts"]["antenna"]["sigma_lever_m"],
-        sigma_attitude_rad=np.deg2rad([s["ins"][f"sigma_{a}_deg"] for a in ("roll", "pitch", "heading")]),
-        **{key: s["orientation"][key] for key in keys},
-    )
+    trajectory = ins_trajectory(logs, positions=positions, states=states)
     return trajectory, positions["t_gps_s"].to_numpy()
 
 
@@ -346,7 +336,7 @@ def judged(found: Processed, part: slice) -> dict[str, float]:
     """Mean normalised square of some components of the pose, number of poses, share inside 95 %."""
     e, C = found.error[:, part], found.cov[:, part, part]
     k = e.shape[1]
-    square = np.einsum("ni,ni->n", e, np.linalg.solve(C, e[:, :, None])[:, :, 0])
+    square = normalised_squares(e, C)
     return {
         "nees": float(np.mean(square) / k),
         "n": len(e),
@@ -378,8 +368,8 @@ def _study_rows(seed: Seed) -> Tables:
     return {seed.kind: pd.concat(found, ignore_index=True)}
 
 
-def _study_results(tables: Tables, files: Sequence[Path]) -> Mapping[str, Result]:
-    return {"table": table(pd.concat(tables.values(), ignore_index=True))}
-
-
-STUDY: Final = Study(rows=_study_rows, results=_study_results, float_format="%.4g")
+STUDY: Final = Study(
+    rows=_study_rows,
+    results=lambda tables, files: {"table": table(pd.concat(tables.values(), ignore_index=True))},
+    float_format="%.4g",
+)

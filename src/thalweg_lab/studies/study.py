@@ -12,10 +12,12 @@ from functools import reduce
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 import yaml
+from scipy.stats import chi2
 
-from thalweg.core import InputError, read_parquet
+from thalweg.core import ArrayF, InputError, ThalwegError, read_parquet
 
 Tables = Mapping[str, pd.DataFrame]
 """Rows by the name of their table."""
@@ -135,6 +137,25 @@ def run_seeds(study: Study, batch: Batch, sizes: Mapping[str, Any], target: Path
     target.mkdir(parents=True, exist_ok=True)
     for name, table in joined(parts).items():
         table.to_parquet(target / f"{name}.parquet", index=False)
+
+
+def attempted(trial: Callable[[int], Mapping[str, Any]], seed: int) -> dict[str, Any]:
+    """The row of a seed: ``seed``, ``failure`` and what the trial found; of one that failed, why."""
+    try:
+        return {"seed": seed, "failure": "", **trial(seed)}
+    except ThalwegError as error:
+        return {"seed": seed, "failure": str(error)}
+
+
+def band_of_squares(n: int, level: float) -> tuple[float, float]:
+    """Where the mean of n squared standard normal numbers lies, but for ``level`` of all cases."""
+    low, high = (float(chi2.ppf(q, n)) / n if n else np.nan for q in (level / 2, 1 - level / 2))
+    return low, high
+
+
+def normalised_squares(error: ArrayF, cov: ArrayF) -> ArrayF:
+    """``e^T C^-1 e`` (n,) of errors (n, k) with covariances (n, k, k)."""
+    return np.asarray(np.einsum("ni,ni->n", error, np.linalg.solve(cov, error[:, :, None])[:, :, 0]))
 
 
 def joined(parts: Sequence[Tables]) -> dict[str, pd.DataFrame]:

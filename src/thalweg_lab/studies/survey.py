@@ -312,13 +312,24 @@ def process(
     return orient(logs, trajectory, settings, name=name, beam=beam)
 
 
-def ins_trajectory(logs: Logs, settings: Mapping[str, Any] | None = None) -> Trajectory:
-    """Trajectory by INS and antenna of raw logs; ``settings`` as for `process`."""
+def ins_trajectory(
+    logs: Logs,
+    settings: Mapping[str, Any] | None = None,
+    *,
+    positions: pd.DataFrame | None = None,
+    states: pd.DataFrame | None = None,
+) -> Trajectory:
+    """Trajectory by INS and antenna of raw logs; ``settings`` as for `process`.
+
+    Parameters
+    ----------
+    positions, states : tables in place of those in the logs.
+    """
     s = logs.settings if settings is None else settings
     antenna, orientation = s["mounts"]["antenna"], s["orientation"]
     trajectory, _ = build_trajectory(
-        read_pos([logs.pos]).positions,
-        read_anpp([logs.anpp]).states,
+        read_pos([logs.pos]).positions if positions is None else positions,
+        read_anpp([logs.anpp]).states if states is None else states,
         logs.frame,
         lever_ics_antenna_m=antenna["lever_ics_m"],
         sigma_lever_m=antenna["sigma_lever_m"],

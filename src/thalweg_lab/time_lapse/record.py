@@ -10,7 +10,6 @@ import numpy as np
 import pandas as pd
 
 from thalweg.core import (
-    ArrayB,
     ArrayF,
     ArrayF32,
     ArrayU8,
@@ -21,7 +20,6 @@ from thalweg.core import (
     Rigid,
     steps,
 )
-from thalweg.images.model import ImagePoses
 from thalweg_lab.random_numbers import generator
 from thalweg_lab.reach import River
 from thalweg_lab.river import Material, Scene, Waves, metered
@@ -30,7 +28,7 @@ from thalweg_lab.settings import TwinConfig, TwinLens, TwinTimeLapse
 from thalweg_lab.time_lapse.foreground import OwnBoat, Targets, place_targets
 from thalweg_lab.time_lapse.renderer import Renderer, World
 from thalweg_lab.voyage import Voyage, start_unix
-from thalweg_lab.writers import PhotoFacts, write_jpeg
+from thalweg_lab.writers import PhotoFacts, true_poses, write_jpeg
 from thalweg_lab.yard_images import (
     BOAT_SENSOR_MM,
     FULL_FRAME_MM,
@@ -201,22 +199,8 @@ def write_survey(path: Path, table: pd.DataFrame) -> None:
 
 def write_poses(path: Path, plan: Plan, frame: LocalFrame) -> None:
     """True poses and times of all images, table kind ``image_poses`` with covariances of zero."""
-    n = len(plan.shots)
-    ImagePoses(
-        frame=frame,
-        images=tuple(shot.name for shot in plan.shots),
-        t_gps_s=np.array([shot.t_gps_s for shot in plan.shots]),
-        sigma_t_s=np.zeros(n),
-        oriented=np.ones(n, dtype=np.bool_),
-        reasons=("",) * n,
-        centre_wcs_m=np.array([shot.T_wcs_ccs.shift_m for shot in plan.shots]).reshape(n, 3),
-        R_wcs_ccs=np.array([shot.T_wcs_ccs.R for shot in plan.shots]).reshape(n, 3, 3),
-        cov_pose_wcs=np.zeros((n, 6, 6)),
-        cov_next=np.zeros((n, 6, 6)),
-        n_marks=np.zeros(n),
-        rms_px=np.full(n, np.nan),
-        facts={"source": "digital twin, true poses"},
-    ).write(path)
+    names, t_gps_s = [shot.name for shot in plan.shots], [shot.t_gps_s for shot in plan.shots]
+    true_poses(names, t_gps_s, plan.poses, frame, "digital twin, true poses").write(path)
 
 
 def write_truth(path: Path, plan: Plan, targets: Targets, clock: ArrayF) -> None:
@@ -250,7 +234,7 @@ def write_truth(path: Path, plan: Plan, targets: Targets, clock: ArrayF) -> None
             }
             for name, check, place, normal, right, seen in zip(
                 targets.names,
-                _plain(targets.check),
+                targets.check.tolist(),
                 targets.centre_wcs_m,
                 targets.normal_wcs,
                 targets.right_wcs,
@@ -270,10 +254,6 @@ def write_truth(path: Path, plan: Plan, targets: Targets, clock: ArrayF) -> None
     }
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps(facts, indent=1) + "\n")
-
-
-def _plain(flags: ArrayB) -> list[bool]:
-    return [bool(flag) for flag in flags]
 
 
 # ---------------------------------------------------------------- record

@@ -25,7 +25,7 @@ from thalweg_lab.river import (
 )
 from thalweg_lab.river_images import HAZE, Sun, surface_appearance
 from thalweg_lab.time_lapse.foreground import RIM, OwnBoat, Targets
-from thalweg_lab.yard_images import LensRays, turned
+from thalweg_lab.yard_images import LensRays, changes, turned
 
 COVER: Final = 0.4
 """Share of clouds in the sky."""
@@ -411,17 +411,11 @@ class _Seen:
 
 def _subrays(grid: ArrayF32, pixels: ArrayI, across: int, along: int) -> ArrayF32:
     """Rays (n * across * along, 3) through a raster of places in each pixel, ``along`` of them down."""
-    h, w, _ = grid.shape
-    y, x = np.divmod(pixels, w)
     wide, high = (((np.arange(k) + 0.5) / k - 0.5).astype(np.float32) for k in (across, along))
-    right = grid[y, np.minimum(x + 1, w - 1)] - grid[y, np.maximum(x - 1, 0)]
-    right /= (np.minimum(x + 1, w - 1) - np.maximum(x - 1, 0)).astype(np.float32)[:, None]
-    down = grid[np.minimum(y + 1, h - 1), x] - grid[np.maximum(y - 1, 0), x]
-    down /= (np.minimum(y + 1, h - 1) - np.maximum(y - 1, 0)).astype(np.float32)[:, None]
-    # At the rim of an image circle a neighbour has no ray.
-    right, down = np.nan_to_num(right), np.nan_to_num(down)
+    right, down = changes(grid, pixels)
     a, b = (o.ravel()[None, :, None] for o in np.meshgrid(wide, high))
-    return np.ascontiguousarray((grid[y, x][:, None] + a * right[:, None] + b * down[:, None]).reshape(-1, 3))
+    rays = grid.reshape(-1, 3)[pixels][:, None] + a * right[:, None] + b * down[:, None]
+    return np.ascontiguousarray(rays.reshape(-1, 3))
 
 
 # ---------------------------------------------------------------- rays that meet the water: where they go,

@@ -83,7 +83,6 @@ class Yard:
     names : of the things.
     sheets : printed sheets on things.
     layout : dictionary of the prints.
-    colours : (things, 3) colour that replaces that of a thing, NaN where it keeps its own; None: all do.
     """
 
     vertices_wcs_m: ArrayF
@@ -92,7 +91,6 @@ class Yard:
     names: tuple[str, ...]
     sheets: tuple[Sheet, ...] = ()
     layout: MarkerLayout = MarkerLayout()  # noqa: RUF009 - frozen
-    colours: ArrayF | None = None
 
     @classmethod
     def of(cls, scene: FieldScene, sheets: Iterable[Sheet], layout: MarkerLayout | None = None) -> Self:

@@ -8,4 +8,4 @@ from .images import (
     simulate_synthetic_view as simulate_synthetic_view,
     true_camera as true_camera,
 )
-from .render import Photographer as Photographer, turned as turned
+from .render import Photographer as Photographer, changes as changes, turned as turned

@@ -1,7 +1,7 @@
 """The images of a calibration run: a tour with a reflex camera, the boat's camera standing and in motion."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -17,7 +17,6 @@ from thalweg.core import (
     ArrayU8,
     Camera,
     ConfigError,
-    GeometryError,
     Rigid,
     column,
     frame_of,
@@ -76,10 +75,6 @@ LASERS: Final = Lasers.even(8, 4.0)
 """P2 Fig. 4: eight scan lines, four degrees apart."""
 _GREY: Final = np.array([0.299, 0.587, 0.114])
 """Weights of red, green and blue in brightness (ITU-R BT.601)."""
-RAMP: Final = np.array([
-    [0.02, 0.10, 0.42], [0.02, 0.32, 0.55], [0.10, 0.55, 0.42], [0.62, 0.62, 0.10], [0.80, 0.30, 0.04],
-])  # fmt: skip
-"""Colours from low to high, linear RGB."""
 
 
 # ---------------------------------------------------------------- images
@@ -274,9 +269,7 @@ def simulate_synthetic_view(
     """
     T_wcs_ics = standing(config, 1).T_wcs_ics
     camera = true_camera(config.camera, "boat")
-    view = synthetic_view(
-        build_field(config, seed), camera, T_wcs_ics @ mount_of(mounts["camera"]), SUN, colours=None
-    )
+    view = synthetic_view(build_field(config, seed), camera, T_wcs_ics @ mount_of(mounts["camera"]), SUN)
     height = np.append(view.height_m, np.nan)[view.cone]
     out_view.parent.mkdir(parents=True, exist_ok=True)
     shade = np.rint(view.image @ _GREY).astype(np.uint8)
@@ -297,8 +290,7 @@ def simulate_synthetic_view(
     table.assign(ring=scan.ring, on_cone=scan.cone >= 0).to_parquet(out_frame, index=False)
 
 
-# ---------------------------------------------------------------- A picture of the cones in which their
-# colour tells their height (P2 Fig. 4a), and of any other lens
+# ---------------------------------------------------------------- a clean picture of the cones (P2 Fig. 4a)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -320,16 +312,9 @@ class SyntheticView:
 
 
 def synthetic_view(
-    field: Field,
-    camera: Camera,
-    T_wcs_ccs: Rigid,
-    sun: Sun,
-    *,
-    colours: ArrayF | None = RAMP,
-    with_sheets: bool = False,
-    field_of_view_deg: float = 190.0,
+    field: Field, camera: Camera, T_wcs_ccs: Rigid, sun: Sun, *, field_of_view_deg: float = 190.0
 ) -> SyntheticView:
-    """A clean picture of the field, without noise.
+    """A clean picture of the field, without noise and without the printed markers.
 
     Parameters
     ----------
@@ -337,26 +322,10 @@ def synthetic_view(
     camera : of any model.
     T_wcs_ccs : its pose.
     sun : the light.
-    colours : (k, 3) linear RGB from 0 to 1, from the lowest cone to the highest; None: cones as they are.
-    with_sheets : whether the printed markers are there.
     field_of_view_deg : full angle of the image circle of a fisheye.
-
-    Raises
-    ------
-    GeometryError : colours of another shape.
     """
-    scene = field_scene(field)
-    yard = Yard.of(scene, field.sheets if with_sheets else ())
+    yard = Yard.of(field_scene(field), ())
     heights = np.array([cone.middle_wcs_m[2] for cone in field.cones])
-    if colours is not None:
-        ramp = np.asarray(colours, dtype=np.float64)
-        if ramp.ndim != 2 or ramp.shape[1] != 3 or len(ramp) < 2:
-            raise GeometryError(f"colours of the shape {ramp.shape}", expected="(k, 3) with k of at least 2")
-        share = (heights - heights.min()) / max(float(np.ptp(heights)), 1e-9)
-        of_cones = np.stack([np.interp(share, np.linspace(0, 1, len(ramp)), c) for c in ramp.T], axis=1)
-        given = np.full((len(yard.names), 3), np.nan)
-        given[[yard.names.index(cone.name) for cone in field.cones]] = of_cones
-        yard = replace(yard, colours=given)
     seen = Photographer(yard, sun).see(LensRays(camera, field_of_view_deg=field_of_view_deg), T_wcs_ccs)
     number = np.full(len(yard.names) + 1, -1, dtype=np.int64)
     number[[yard.names.index(cone.name) for cone in field.cones]] = np.arange(len(field.cones))

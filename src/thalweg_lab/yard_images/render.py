@@ -124,8 +124,6 @@ class Photographer:
         )
         self._look = np.array([appearance_of(name) for name in yard.names], dtype=np.int64)
         self._table = PaintTable.of(yard.sheets, yard.names, yard.layout)
-        given = np.full((len(yard.names), 3), np.nan) if yard.colours is None else yard.colours
-        self._given = given.astype(np.float32)
 
     def see(self, lens: LensRays, T_wcs_ccs: Rigid) -> Seen:
         """The light in each pixel of a camera at a pose."""
@@ -262,7 +260,6 @@ class Photographer:
             self._normal,
             self.yard.things,
             self._look,
-            self._given,
             self._table,
             self._sky_cells,
             self.sun.direction_wcs,
@@ -627,7 +624,6 @@ def surface_light(  # type: ignore[no-untyped-def]
     normals,
     things,
     looks,
-    given,
     table,
     sky,
     sun,
@@ -656,8 +652,7 @@ def surface_light(  # type: ignore[no-untyped-def]
         open_sky = _open_sky(x, y, z, looks[what], sky)
         up = 0.5 + 0.5 * nz
         for k in range(3):
-            share = colour[k] if np.isnan(given[what, k]) else given[what, k]
-            share = share * (1 - paper) + (paper - ink) * PAPER + ink * INK
+            share = colour[k] * (1 - paper) + (paper - ink) * PAPER + ink * INK
             around = open_sky * (up * SKY_COLOUR[k] + (1 - up) * GROUND_COLOUR[k])
             out[i, k] = share * (direct * sun_colour[k] + around)
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from thalweg.calibration import MarkerLayout, sheet_picture
-from thalweg.core import Camera, GeometryError, Rigid
+from thalweg.core import Camera, Rigid
 from thalweg_lab.settings import TwinConfig, TwinLens
 from thalweg_lab.yard import Field, FieldCone, Sheet, Yard, build_field, field_scene
 from thalweg_lab.yard.tour import looking
@@ -175,7 +175,7 @@ def test_a_fisheye_sees_behind_itself_and_is_dark_outside_its_circle(field):
         cone - eye
     )
     pose = looking(eye, eye + back * [1, 1, 0])
-    seen = synthetic_view(field, camera, pose, SUN, colours=None, with_sheets=True)
+    seen = synthetic_view(field, camera, pose, SUN)
     ray = pose.inverse().apply(cone[None])
     assert ray[0, 2] < 0
     x, y = camera.project(ray)[0].astype(int)
@@ -187,19 +187,3 @@ def test_a_fisheye_sees_behind_itself_and_is_dark_outside_its_circle(field):
     assert np.nanmin(rays[..., 2]) == pytest.approx(np.cos(np.deg2rad(95.0)), abs=0.01)
     assert (seen.image[~lit].max(axis=1) < 40).mean() > 0.97  # the rim is blurred
     assert (seen.image[lit].max(axis=1) > 40).mean() > 0.97
-
-
-def test_heights_of_cones_tell_their_colours(field):
-    """P2 Fig. 4a: low cones blue, high ones red by the given colours; the ground keeps its own."""
-    camera = Camera(
-        model="perspective", size_px=(240, 180), parameters=np.array([170, 170, 120, 90, 0, 0, 0, 0, 0])
-    )
-    pose = looking(np.array([0.0, 0.0, 0.8]), np.array([-5.0, 0.0, 1.2]))
-    view = synthetic_view(field, camera, pose, SUN, colours=np.array([[0.0, 0.0, 0.8], [0.8, 0.0, 0.0]]))
-    found = [i for i in range(len(view.height_m)) if (view.cone == i).sum() > 30]
-    assert len(found) >= 3
-    colour = np.array([np.median(view.image[view.cone == i], axis=0) for i in found])
-    share = colour[:, 0] / (colour[:, 0] + colour[:, 2])
-    np.testing.assert_array_equal(np.argsort(share), np.argsort(view.height_m[found]))
-    with pytest.raises(GeometryError, match="colours of the shape"):
-        synthetic_view(field, camera, pose, SUN, colours=np.zeros(3))

@@ -6,15 +6,7 @@ import numpy as np
 import pytest
 
 from thalweg.core import GeometryError
-from thalweg_lab.multi_line import (
-    Detections,
-    Flag,
-    LabelSettings,
-    MapSettings,
-    hypotheses,
-    label_scan,
-    label_single_image,
-)
+from thalweg_lab.multi_line import Detections, Flag, MapSettings, hypotheses, label_scan, label_single_image
 from thalweg_lab.multi_line.labels import (
     CONTRADICTED,
     IMPOSSIBLE,
@@ -127,8 +119,8 @@ def test_single_images_label_only_what_they_know(regular, irregular):
         labels, truth = [], []
         for y in (20.0, -20.0):
             seen = observe(PAIR.true, grating, make_scene("wreck", 2), y, 1)
-            h = hypotheses(SENSOR, lines, seen.detections, LabelSettings())
-            labels.append(label_single_image(h, lines, LabelSettings()).label)
+            h = hypotheses(SENSOR, lines, seen.detections)
+            labels.append(label_single_image(h, lines).label)
             truth.append(seen.label)
         counts = label_counts(labels, np.concatenate(truth))
         given[name], share[name] = counts["precision"], counts["share"]
@@ -180,5 +172,5 @@ def test_wrong_input_is_refused(regular):
     with pytest.raises(GeometryError, match="0 images"):
         label_scan([], [], MAP, ground_depth_mm=150.0)
     empty = Detections(row=np.zeros(0, dtype=np.int64), x_px=np.zeros(0))
-    h = hypotheses(SENSOR, regular[1], empty, LabelSettings())
-    assert len(label_image(h, LabelSettings()).label) == 0
+    h = hypotheses(SENSOR, regular[1], empty)
+    assert len(label_image(h).label) == 0

@@ -5,7 +5,11 @@ import pandas as pd
 import pytest
 
 from thalweg.core import CoverageError
-from thalweg_lab.studies import cone_runs as runs
+from thalweg_lab.studies import attempted, cone_runs as runs
+
+
+def study(trial, seeds):
+    return pd.DataFrame([attempted(trial, seed) for seed in seeds])
 
 
 @pytest.mark.parametrize(("scale", "inside"), [(1.0, True), (1.5, False), (0.7, False)])
@@ -24,7 +28,7 @@ def test_failures_are_counted_and_do_not_enter_the_mean():
             raise CoverageError("no soundings")
         return {"error_mm": 1.0, "consistent": 1.0, "ruler": 1.0, "formal": 50.0}
 
-    found = runs.study(trial, range(1, 5))
+    found = study(trial, range(1, 5))
     assert found["failure"].str.contains("no soundings").tolist() == [False, True, False, False]
     judged = runs.judged(found, {"consistent": 1, "ruler": 1, "formal": 1}, level=0.05)
     assert judged["failures"].tolist() == [1, 1, 1]
@@ -33,11 +37,11 @@ def test_failures_are_counted_and_do_not_enter_the_mean():
 
 
 def test_a_few_seeds():
-    found = runs.study(runs.ins_lidar_trial, [1, 2])
+    found = study(runs.ins_lidar_trial, [1, 2])
     assert (found["failure"] == "").all()
     table = runs.judged(found, runs.INS_LIDAR, level=1e-4).set_index("covariance")
     # once in ten thousand for right covariances; the 50 seeds of the rules decide
     assert table.loc["consistent", "inside"]
     # independent points: sigmas many times too small
     assert table.loc["formal", "normalised"] > 20
-    pd.testing.assert_frame_equal(runs.study(runs.ins_lidar_trial, [2]), found[1:].reset_index(drop=True))
+    pd.testing.assert_frame_equal(study(runs.ins_lidar_trial, [2]), found[1:].reset_index(drop=True))

@@ -1,15 +1,20 @@
 """The camera-lidar calibration on the recorded twin: consistent over seeds, and robust."""
 
+from functools import partial
+
+import pandas as pd
 import pytest
 
-from thalweg_lab.studies.sensors.camera_lidar import Pictures, StudySettings, camera_lidar_study, summary
+from thalweg.core import ThalwegError
+from thalweg_lab.studies import attempted
+from thalweg_lab.studies.sensors.camera_lidar import Pictures, StudySettings, calibration_errors, summary
 
 FEW = StudySettings(revolutions=3, positions=(1, 2), pictures=Pictures(run_images=0))
 
 
 @pytest.fixture(scope="module")
 def few():
-    return camera_lidar_study((2,), FEW)
+    return pd.DataFrame([attempted(partial(calibration_errors, settings=FEW), 2)])
 
 
 def test_a_seed_is_consistent(few):
@@ -26,5 +31,5 @@ def test_a_seed_is_consistent(few):
 
 def test_a_field_that_gives_no_pose_is_a_failure():
     settings = StudySettings(revolutions=1, pictures=Pictures(sigma_px=0.05, run_images=0, wrong_marks=0.9))
-    (line,) = camera_lidar_study([1], settings).to_dict("records")
-    assert line["failure"]
+    with pytest.raises(ThalwegError):
+        calibration_errors(1, settings)

@@ -30,9 +30,9 @@ def found(tmp_path_factory):
     folder = tmp_path_factory.mktemp("chains")
     settings = study.ChainStudy.of(tables.DISTURBED, study.DISTURBANCES, SMALL, {"cell_m": 0.1})
     world = study.make_world(settings, folder / "world")
-    out = [study.survey_chains(1, settings, world, folder / "survey")]
+    out = study.survey_chains(1, settings, world, folder / "survey")
     assert not (folder / "survey").exists()
-    return {tables.DISTURBED: out}
+    return out
 
 
 def test_all_chains_see_the_bank(found):

@@ -5,11 +5,14 @@ import pandas as pd
 import pytest
 
 from thalweg.core import GeometryError, read_parquet
+from thalweg.settings.sections import BlockAdjustment
 from thalweg_lab.studies import image_blocks
-from thalweg_lab.studies.image_blocks import DEFAULT_FACTOR, FACTORS, block_study, normalised, pooled
+from thalweg_lab.studies.image_blocks import FACTORS, block_study, normalised, pooled
+
+FACTOR = BlockAdjustment().interior_variance
 
 
-def blocks(*joint: float, images: int = 10, factor: float = DEFAULT_FACTOR) -> pd.DataFrame:
+def blocks(*joint: float, images: int = 10, factor: float = FACTOR) -> pd.DataFrame:
     return pd.DataFrame(
         [
             {
@@ -58,13 +61,13 @@ def test_a_block_that_fails_is_a_line_of_its_own(tmp_path, monkeypatch):
         raise GeometryError("no block", expected="one")
 
     monkeypatch.setattr(image_blocks, "rendered_block", fails)
-    table = block_study([3], tmp_path)
+    table = block_study(3, tmp_path)
     assert table["factor"].tolist() == list(FACTORS)
     assert set(table["failure"]) == {"no block; expected one."}
     # as the job of a seed hands them to the one that gathers
     table.to_parquet(tmp_path / "3.parquet", index=False)
     again = read_parquet(tmp_path / "3.parquet")
     pd.testing.assert_frame_equal(again, table, check_dtype=False)
-    table = again[again["factor"] == DEFAULT_FACTOR]
+    table = again[again["factor"] == FACTOR]
     both = pd.concat([blocks(1.2), table], ignore_index=True)
     assert pooled(both).loc["all poses jointly", "normalised"] == pytest.approx(1.2)

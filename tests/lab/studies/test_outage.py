@@ -1,6 +1,7 @@
 """The study of outages: shape of its tables, and that the fused trajectory wins."""
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from tests.bands import band
@@ -9,8 +10,9 @@ from thalweg_lab.studies import outage
 
 @pytest.fixture(scope="module")
 def table():
-    found = outage.outage_study((1, 2), outage.VoyageSpec(duration_s=50.0), (2.0, 18.0))
-    return outage.summarised(found)
+    spec = outage.VoyageSpec(duration_s=50.0)
+    found = [outage.outage_trial(seed, spec, (2.0, 18.0)) for seed in (1, 2)]
+    return outage.summarised(pd.concat(found))
 
 
 def test_the_fused_trajectory_is_at_least_as_good_as_each_chain_at_every_length(table):

@@ -14,7 +14,6 @@ from typing import Any, Final
 
 import numpy as np
 import pandas as pd
-from scipy.stats import chi2
 
 from thalweg.calibration import ConeReference, Position, orient_on_field
 from thalweg.calibration.camera_lidar import (
@@ -28,11 +27,11 @@ from thalweg.calibration.camera_lidar import (
     statics_of,
 )
 from thalweg.calibration.field import FieldDescription, FieldPoints, measure_field, parse_field
-from thalweg.core import Camera, GeometryError, LocalFrame, Rigid, ThalwegError
+from thalweg.core import Camera, GeometryError, LocalFrame, Rigid
 from thalweg.settings.sections import LidarAccuracy
 from thalweg_lab.random_numbers import generator
 from thalweg_lab.settings import TwinConfig
-from thalweg_lab.studies import Result, Seed, Study, Tables
+from thalweg_lab.studies import Result, Study, Tables, attempted, band_of_squares
 from thalweg_lab.voyage import FieldRun, standing, true_mounts
 from thalweg_lab.yard import Field, build_field, tour
 from thalweg_lab.yard_images import mount_of, true_camera
@@ -233,9 +232,13 @@ class Trial:
 
 
 def all_cases(seed: int) -> pd.DataFrame:
-    """`camera_lidar_study` of all `CASES`, with the column ``case``; they share the pictures of the seed."""
-    parts = [camera_lidar_study([seed], settings).assign(case=name) for name, settings in CASES.items()]
-    return pd.concat(parts, ignore_index=True)
+    """`calibration_errors` of all `CASES`, with the column ``case``; they share the pictures of the seed."""
+    return pd.DataFrame(
+        [
+            attempted(partial(calibration_errors, settings=settings), seed) | {"case": name}
+            for name, settings in CASES.items()
+        ]
+    )
 
 
 def by_case(rows: pd.DataFrame) -> pd.DataFrame:
@@ -246,26 +249,18 @@ def by_case(rows: pd.DataFrame) -> pd.DataFrame:
     )
 
 
-def camera_lidar_study(seeds: Sequence[int], settings: StudySettings) -> pd.DataFrame:
-    """One line a seed: errors and sigmas of the orientation, normalised square error, or the failure.
+def calibration_errors(seed: int, settings: StudySettings) -> dict[str, Any]:
+    """Errors and sigmas of the orientation of one seed, and its normalised square error.
 
-    Parameters
-    ----------
-    seeds : of the calibrations.
-    settings : of all of them.
+    Raises
+    ------
+    ThalwegError : there is no calibration.
     """
-    lines = []
-    for seed in seeds:
-        try:
-            trial = simulated_trial(seed, settings)
-            result = calibrate_camera_lidar(
-                trial.references, trial.positions, trial.nominal, settings.calibration, errors=trial.errors
-            )
-        except ThalwegError as error:
-            lines.append({"seed": seed, "failure": str(error)})
-            continue
-        lines.append({"seed": seed, "failure": "", **judged(result, trial.truth)})
-    return pd.DataFrame(lines)
+    trial = simulated_trial(seed, settings)
+    result = calibrate_camera_lidar(
+        trial.references, trial.positions, trial.nominal, settings.calibration, errors=trial.errors
+    )
+    return judged(result, trial.truth)
 
 
 def judged(result: CameraLidar, truth: Rigid) -> dict[str, Any]:
@@ -292,7 +287,7 @@ def summary(study: pd.DataFrame, level: float = 0.05) -> dict[str, float]:
     the covariances are right (chi-square with six degrees of freedom a seed).
     """
     good = study[study["failure"] == ""]
-    n = 6 * len(good)
+    low, high = band_of_squares(6 * len(good), level)
     return {
         "seeds": len(study),
         "failures": len(study) - len(good),
@@ -301,8 +296,8 @@ def summary(study: pd.DataFrame, level: float = 0.05) -> dict[str, float]:
         **{f"median_sigma_{name}": float(good[f"sigma_{name}"].median()) for name in ERRORS},
         **{f"mean_error_{name}": float(good[name].mean()) for name in ERRORS},
         "normalised": float(good["normalised"].mean()),
-        "band_low": float(chi2.ppf(level / 2, n)) / n,
-        "band_high": float(chi2.ppf(1 - level / 2, n)) / n,
+        "band_low": low,
+        "band_high": high,
     }
 
 
@@ -362,14 +357,12 @@ def _photographed(
     return photographed_field(_twin(effects), seed, camera, (1, 2, 3), pictures)
 
 
-def _study_rows(seed: Seed) -> Tables:
-    return {"cases": all_cases(seed.number)}
-
-
 def _study_results(tables: Tables, files: Sequence[Path]) -> Mapping[str, Result]:
     found = by_case(tables["cases"])
     cases = partial(summary_table(found).to_csv, index=False, float_format="%.6g")
     return {"table": found, "cases": cases}
 
 
-STUDY: Final = Study(rows=_study_rows, results=_study_results, float_format=None)
+STUDY: Final = Study(
+    rows=lambda seed: {"cases": all_cases(seed.number)}, results=_study_results, float_format=None
+)

@@ -29,7 +29,6 @@ from thalweg_lab.multi_line import (
     Detections,
     Flag,
     Hypotheses,
-    LabelSettings,
     Lines,
     MapSettings,
     NominalDiode,
@@ -41,7 +40,6 @@ from thalweg_lab.multi_line import (
     label_scan,
     label_single_image,
     line_model,
-    line_order,
     line_table,
     nested_tests,
 )
@@ -74,11 +72,12 @@ _NAMES: Final = ("design.yaml", "marks.csv", "points.csv")
 
 MAP = MapSettings(low_mm=(-130.0, -290.0), high_mm=(130.0, 90.0))
 """Room for the scenes."""
-Scene = Literal["flat", "wreck", "spars", "steps"]
-SCENES: Final[tuple[Scene, ...]] = ("flat", "wreck", "spars", "steps")
+Scene = Literal["wreck", "spars", "steps"]
+SCENES: Final[tuple[Scene, ...]] = ("wreck", "spars", "steps")
 _X_MM: Final = (-130.0, 130.0)
 _Y_MM: Final = (-270.0, 70.0)
 """Extent of the surfaces."""
+_CELL_MM: Final = 0.3
 _AHEAD_MM: Final = -100.0
 """Where the object lies along the way of the sensor: the sensor passes over it with y from +95 to -75 mm."""
 
@@ -104,18 +103,15 @@ _NEAR_PX: Final = 3.0
 _BEAMS: Final = 6001
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Noise:
-    """How a detector errs.
-
-    ``sigma_px`` across the line; ``dropout`` share of places that are missed; ``spurious`` share of places
-    that are none; lines nearer than ``melt_px`` give one place.
-    """
-
-    sigma_px: float = 0.2
-    dropout: float = 0.02
-    spurious: float = 0.02
-    melt_px: float = 4.0
+_SIGMA_PX: Final = 0.2
+_DROPOUT: Final = 0.02
+_SPURIOUS: Final = 0.02
+_MELT_PX: Final = 4.0
+"""How a detector errs: across the line; shares of places that are missed and that are none; lines that are
+nearer give one place."""
+_ROW_STEP: Final = 4
+_SAMPLES: Final = 800
+"""Every how manyth row is searched; sub-beams along each line."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -136,19 +132,18 @@ class Field:
     cell_mm: float
 
 
-def make_scene(kind: Scene, seed: int, *, cell_mm: float = 0.3) -> Field:
+def make_scene(kind: Scene, seed: int) -> Field:
     """A surface; another seed gives another object of the same kind."""
-    x = np.arange(_X_MM[0], _X_MM[1], cell_mm)
-    y = np.arange(_Y_MM[0], _Y_MM[1], cell_mm)
+    x, y = np.arange(*_X_MM, _CELL_MM), np.arange(*_Y_MM, _CELL_MM)
     depth = _raster(_parameters(kind, seed), x, y)
-    return Field(depth_mm=depth, corner_mm=np.array([x[0], y[0]]), cell_mm=cell_mm)
+    return Field(depth_mm=depth, corner_mm=np.array([x[0], y[0]]), cell_mm=_CELL_MM)
 
 
 def _parameters(kind: Scene, seed: int) -> ArrayF:
     """What makes a surface, (32,)."""
     rng = generator(seed, f"line_label_scene_{kind}")
     s = np.zeros(32)
-    s[0] = SCENES.index(kind)
+    s[0] = 1 + SCENES.index(kind)
     s[1] = rng.uniform(140.0, 165.0)
     s[2:5] = rng.uniform(0.0, 2 * np.pi, 3)
     s[5], s[6] = rng.uniform(-25.0, 25.0), rng.uniform(-20.0, 20.0) + _AHEAD_MM
@@ -163,29 +158,11 @@ def _parameters(kind: Scene, seed: int) -> ArrayF:
     return s
 
 
-def observe(
-    sensor: Sensor,
-    grating: Grating,
-    scene: Field,
-    shift_y_mm: float,
-    seed: int,
-    *,
-    row_step: int = 4,
-    samples: int = 800,
-    noise: Noise | None = None,
-) -> SceneDetections:
-    """What a detector finds in the image that is taken with the sensor at ``(0, shift_y_mm)``.
-
-    Parameters
-    ----------
-    scene : the surface.
-    row_step : every how manyth row.
-    samples : sub-beams along each line.
-    """
-    noise = Noise() if noise is None else noise
+def observe(sensor: Sensor, grating: Grating, scene: Field, shift_y_mm: float, seed: int) -> SceneDetections:
+    """What a detector finds in the image that is taken with the sensor at ``(0, shift_y_mm)``."""
     n = len(grating.cosine_offsets)
-    fan = np.linspace(-grating.half_angle_rad, grating.half_angle_rad, samples)
-    line = np.repeat(np.arange(n), samples)
+    fan = np.linspace(-grating.half_angle_rad, grating.half_angle_rad, _SAMPLES)
+    line = np.repeat(np.arange(n), _SAMPLES)
     beams = sub_beams(*grating.beams(line, np.tile(fan, n)), sensor.window)
     ground = (scene.depth_mm, scene.corner_mm, scene.cell_mm, float(scene.depth_mm.min()) - 1.0)
     depth = _first_hit(*ground, beams.start_mm, beams.slope, shift_y_mm)
@@ -195,13 +172,13 @@ def observe(
     start = beams.start_mm + (beams.slope - image.slope) * depth[:, None]
     seen = _visible(*ground, start, image.slope, depth, shift_y_mm) & image.inside
     xy[~seen] = np.nan
-    found = _crossings(xy, depth, line, row_step, sensor.camera.size_px[1])
+    found = _crossings(xy, depth, line, _ROW_STEP, sensor.camera.size_px[1])
     row, x, label, true_depth = found[:, 0], found[:, 1], found[:, 2], found[:, 3]
     rng = generator(seed, f"line_label_noise_{shift_y_mm:.3f}")
-    x = x + noise.sigma_px * rng.standard_normal(len(x))
-    kept = rng.random(len(x)) >= noise.dropout
+    x = x + _SIGMA_PX * rng.standard_normal(len(x))
+    kept = rng.random(len(x)) >= _DROPOUT
     row, x, label, true_depth = row[kept], x[kept], label[kept], true_depth[kept]
-    m = int(rng.binomial(len(x), noise.spurious)) if len(x) else 0
+    m = int(rng.binomial(len(x), _SPURIOUS)) if len(x) else 0
     beside = rng.integers(0, max(len(x), 1), m)
     row = np.concatenate([row, row[beside]])
     x = np.concatenate([x, x[beside] + rng.uniform(-60.0, 60.0, m)])
@@ -210,9 +187,9 @@ def observe(
     order = np.lexsort((x, row))
     row, x, label, true_depth = row[order], x[order], label[order], true_depth[order]
     apart = np.ones(len(x), dtype=np.bool_)
-    apart[1:] = (np.diff(row) > 0) | (np.diff(x) >= noise.melt_px)
+    apart[1:] = (np.diff(row) > 0) | (np.diff(x) >= _MELT_PX)
     return SceneDetections(
-        detections=Detections(row=row[apart].astype(np.int64), x_px=x[apart], row_step=row_step),
+        detections=Detections(row=row[apart].astype(np.int64), x_px=x[apart], row_step=_ROW_STEP),
         label=label[apart].astype(np.int64),
         depth_mm=true_depth[apart],
     )
@@ -245,36 +222,35 @@ def surface_depth(s: ArrayF, x: float, y: float) -> float:
     depth = s[1] + s[20] * (ripples + 0.5 * np.sin(x * 0.21 + y * 0.17 + s[4]))
     rough = np.sin(x * 1.3 + s[2]) * np.sin(y * 1.7 + s[3])
     rough = s[19] * (rough + 0.6 * np.sin(x * 2.9 + 1.0 + s[4]) * np.sin(y * 2.3))
-    if s[0] >= 1:
-        c, w = np.cos(s[7]), np.sin(s[7])
-        u, v = c * (x - s[5]) + w * (y - s[6]), -w * (x - s[5]) + c * (y - s[6])
-        if s[0] < 3:
-            along, half = s[8], s[9]
-            t = abs(u) / along
-            if t < 1:
-                width = half * (1 - t**3)
-                if abs(v) < width:
-                    h = s[10] * (0.35 + 0.65 * np.sqrt(max(0.0, 1 - (v / width) ** 2)))
-                    if abs(u - 0.25 * along) < 0.18 * along and abs(v) < 0.45 * half:
-                        h = max(h, s[10] + s[11])
-                    if abs(u + 0.35 * along) < 0.12 * along and abs(v + 0.1 * half) < 0.4 * half:
-                        h = max(h, s[10] + s[12])
-                    if abs(u + 0.05 * along) < 0.07 * along and abs(v - 0.1 * half) < 0.3 * half:
-                        h = 0.3 * s[10]
-                    if (u - 0.6 * along) ** 2 + (v + 0.2 * half) ** 2 < (0.26 * half) ** 2:
-                        h = 0.25 * s[10]
-                    depth = s[1] - h
-            if (u - 0.02 * along) ** 2 + (v + 0.3 * half) ** 2 < 2.5**2:
-                depth = min(depth, s[1] - s[10] - s[13])
-            if s[0] == 2 and abs(v - 0.15 * half) < 1.5 and abs(u + 0.1 * along) < 0.8 * along:
-                depth = min(depth, s[1] - s[10] - 12.0)
-        for i in range(3):
-            r2 = s[14 + i] ** 2 - (x - s[21 + 2 * i]) ** 2 - (y - s[22 + 2 * i]) ** 2
-            if r2 > 0:
-                depth = min(depth, s[1] - 0.8 * np.sqrt(r2))
-        if s[0] == 3 and abs(y - s[6]) < 32 and abs(x - s[5]) < 150:
-            step = 0.0 if x - s[5] < -50 else (20.0 if x - s[5] < 50 else 40.0)
-            depth = s[1] - step - 5
+    c, w = np.cos(s[7]), np.sin(s[7])
+    u, v = c * (x - s[5]) + w * (y - s[6]), -w * (x - s[5]) + c * (y - s[6])
+    if s[0] < 3:
+        along, half = s[8], s[9]
+        t = abs(u) / along
+        if t < 1:
+            width = half * (1 - t**3)
+            if abs(v) < width:
+                h = s[10] * (0.35 + 0.65 * np.sqrt(max(0.0, 1 - (v / width) ** 2)))
+                if abs(u - 0.25 * along) < 0.18 * along and abs(v) < 0.45 * half:
+                    h = max(h, s[10] + s[11])
+                if abs(u + 0.35 * along) < 0.12 * along and abs(v + 0.1 * half) < 0.4 * half:
+                    h = max(h, s[10] + s[12])
+                if abs(u + 0.05 * along) < 0.07 * along and abs(v - 0.1 * half) < 0.3 * half:
+                    h = 0.3 * s[10]
+                if (u - 0.6 * along) ** 2 + (v + 0.2 * half) ** 2 < (0.26 * half) ** 2:
+                    h = 0.25 * s[10]
+                depth = s[1] - h
+        if (u - 0.02 * along) ** 2 + (v + 0.3 * half) ** 2 < 2.5**2:
+            depth = min(depth, s[1] - s[10] - s[13])
+        if s[0] == 2 and abs(v - 0.15 * half) < 1.5 and abs(u + 0.1 * along) < 0.8 * along:
+            depth = min(depth, s[1] - s[10] - 12.0)
+    for i in range(3):
+        r2 = s[14 + i] ** 2 - (x - s[21 + 2 * i]) ** 2 - (y - s[22 + 2 * i]) ** 2
+        if r2 > 0:
+            depth = min(depth, s[1] - 0.8 * np.sqrt(r2))
+    if s[0] == 3 and abs(y - s[6]) < 32 and abs(x - s[5]) < 150:
+        step = 0.0 if x - s[5] < -50 else (20.0 if x - s[5] < 50 else 40.0)
+        depth = s[1] - step - 5
     return depth + rough
 
 
@@ -422,6 +398,11 @@ def calibrated_sensor(seed: int, *, size: Size = "full") -> SensorPair:
 # millimetre or two. `spacing_table` condenses the result to what a buyer asks.
 
 
+_STEP_MM: Final = 3.0
+_SIGMA_POSE_MM: Final = 0.05
+"""From image to image, and of its pose in each direction."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Setting:
     """A kind of scan.
@@ -430,19 +411,15 @@ class Setting:
     ----------
     irregular : designed irregularity of the spacing.
     kind : of scene.
-    step_mm : from image to image.
     start_mm, end_mm : way of the sensor.
-    sigma_pose_mm : in each direction.
     sigma_ground_mm : error of the known depth of the ground at the start.
     ground_error_mm : a mistake in it: one label is 5 to 7 mm.
     """
 
     irregular: float = 0.0
     kind: Scene = "wreck"
-    step_mm: float = 3.0
     start_mm: float = 95.0
     end_mm: float = -75.0
-    sigma_pose_mm: float = 0.05
     sigma_ground_mm: float = 1.0
     ground_error_mm: float = 0.0
 
@@ -482,14 +459,11 @@ def simulate_scan(pair: SensorPair, grating: Grating, lines: Lines, setting: Set
     """A scan of one scene."""
     scene: Field = make_scene(setting.kind, seed)
     rng = generator(seed, "line_label_poses")
-    settings = LabelSettings()
-    sensor = pair.known
-    order = line_order(sensor, lines, 0.5 * (settings.min_depth_mm + settings.max_depth_mm))
     seen, images, poses = [], [], []
-    for y in np.arange(setting.start_mm, setting.end_mm, -setting.step_mm):
+    for y in np.arange(setting.start_mm, setting.end_mm, -_STEP_MM):
         seen.append(observe(pair.true, grating, scene, float(y), seed))
-        images.append(hypotheses(sensor, lines, seen[-1].detections, settings, order=order))
-        place = np.array([0.0, y, 0.0]) + setting.sigma_pose_mm * rng.standard_normal(3)
+        images.append(hypotheses(pair.known, lines, seen[-1].detections))
+        place = np.array([0.0, y, 0.0]) + _SIGMA_POSE_MM * rng.standard_normal(3)
         poses.append(Pose(t_mm=place, R=pair.R_true_known))
     ground = float(np.nanmedian(seen[0].depth_mm))
     error = setting.ground_error_mm + setting.sigma_ground_mm * float(
@@ -520,7 +494,7 @@ def study_scene(
         scan.images, scan.poses, MAP, ground_depth_mm=scan.ground_depth_mm, sigma_ground_mm=2.0
     )
     some = range(0, len(scan.images), 6)
-    single = [label_single_image(scan.images[k], lines, LabelSettings()) for k in some]
+    single = [label_single_image(scan.images[k], lines) for k in some]
     truth = np.concatenate([scan.seen[k].label for k in some])
     counts = found.counts()
     total = sum(counts.values())
@@ -531,7 +505,7 @@ def study_scene(
         {
             "irregular": setting.irregular,
             "kind": setting.kind,
-            "step_mm": setting.step_mm,
+            "step_mm": _STEP_MM,
             "seed": seed,
             "ground_error_mm": setting.ground_error_mm,
             "images": len(scan.images),
@@ -545,13 +519,11 @@ def study_scene(
     )
 
 
-def study(settings: Sequence[Setting], seeds: Sequence[int], *, laser_seed: int = 1) -> pd.DataFrame:
-    """A row for each setting and scene; the sensor has the seed of the laser."""
+def study(seed: int, laser_seed: int) -> pd.DataFrame:
+    """A row for each of `STUDIED` with the scene of a seed; the sensor has the seed of the laser."""
     pair = calibrated_sensor(laser_seed)
-    lasers = {s.irregular: calibrated_lines(pair, s.irregular, laser_seed) for s in settings}
-    return pd.DataFrame(
-        [study_scene(pair, *lasers[s.irregular], s, seed) for s in settings for seed in seeds]
-    )
+    lasers = {s.irregular: calibrated_lines(pair, s.irregular, laser_seed) for s in STUDIED}
+    return pd.DataFrame([study_scene(pair, *lasers[s.irregular], s, seed) for s in STUDIED])
 
 
 def spacing_table(result: pd.DataFrame) -> pd.DataFrame:
@@ -586,10 +558,6 @@ STUDIED: Final = tuple(
 )
 
 
-def _label_rows(seed: Seed) -> Tables:
-    return {"scenes": study(STUDIED, [seed.number], laser_seed=int(seed.sizes["laser_seed"]))}
-
-
 def _label_results(tables: Tables, files: Sequence[Path]) -> Mapping[str, Result]:
     number = {(s.irregular, s.kind): k for k, s in enumerate(STUDIED)}
     scenes = tables["scenes"]
@@ -598,7 +566,9 @@ def _label_results(tables: Tables, files: Sequence[Path]) -> Mapping[str, Result
     return {"scenes": scenes, "spacings": spacing_table(scenes)}
 
 
-LABEL_STUDY: Final = Study(rows=_label_rows, results=_label_results)
+LABEL_STUDY: Final = Study(
+    rows=lambda seed: {"scenes": study(seed.number, int(seed.sizes["laser_seed"]))}, results=_label_results
+)
 
 
 # ---------------------------------------------------------------- fifteen lines against one
@@ -739,11 +709,11 @@ def labelled_points(
     """Measured points with labels: by the known depths, or by the image alone if there are none."""
     order = np.lexsort((found.x_px, found.y_px))
     x, y = found.x_px[order], found.y_px[order]
-    h = hypotheses(sensor, lines, Detections(row=np.floor(y).astype(np.int64), x_px=x), LabelSettings())
+    h = hypotheses(sensor, lines, Detections(row=np.floor(y).astype(np.int64), x_px=x))
     if depths_mm:
         label = best = by_depth(h, depths_mm)
     else:
-        labels = label_single_image(h, lines, LabelSettings())
+        labels = label_single_image(h, lines)
         label, best = labels.label, labels.best
     xyd = np.full((len(x), 3), np.nan)
     has = np.flatnonzero(label >= 0)

@@ -16,7 +16,6 @@ from typing import Final
 
 import numpy as np
 import pandas as pd
-from scipy.stats import chi2
 
 from thalweg.budgets import Budget, read_budget, totals_mm
 from thalweg.calibration import LENSES, Rig, RigCalibration, calibrate_rig
@@ -27,7 +26,7 @@ from thalweg.settings.sections import BlockAdjustment, Rig as RigSettings
 from thalweg_lab.dual_fisheye import TrueRig, room_marks, room_points, true_rig
 from thalweg_lab.random_numbers import generator
 from thalweg_lab.settings import TwinDualFisheye
-from thalweg_lab.studies import Result, Seed, Study, Tables
+from thalweg_lab.studies import Result, Seed, Study, Tables, band_of_squares
 from thalweg_lab.studies.sensors.colours import colour_errors, colour_table
 
 UNKNOWNS: Final = 22
@@ -405,7 +404,7 @@ def rig_table(rows: pd.DataFrame) -> pd.DataFrame:
 
     def band(k: int) -> tuple[float, float]:
         """Of a mean square of that many numbers, at 99 %, and not wider than `SQUARES`."""
-        low, high = (float(chi2.ppf(p, k * n)) / (k * n) for p in (0.005, 0.995))
+        low, high = band_of_squares(k * n, 0.01)
         return max(low, SQUARES[0]), min(high, SQUARES[1])
 
     def size(values: ArrayF) -> float:

@@ -27,7 +27,8 @@ from thalweg.core import (
 from thalweg.lidar import CELL_M, Adjusted, LogSample, adjust_strips, estimate_pose_errors, windows_of
 from thalweg.navigation.ins_gnss import PoseCorrelation, PriorErrors
 from thalweg.settings.sections import LidarAccuracy, Strips
-from thalweg_lab.studies import Result, Seed, Study, Tables
+from thalweg_lab.random_numbers import lasting
+from thalweg_lab.studies import Result, Seed, Study, Tables, normalised_squares
 
 LEVER: Final = np.array([0.1, 0.0, -0.45])
 MOUNT: Final = Rigid(
@@ -87,11 +88,7 @@ class Drawn:
 
 
 def _process(rng: np.random.Generator, n: int, sigma: ArrayF, time_s: float) -> ArrayF:
-    keep = np.exp(-STEP_S / time_s)
-    out = rng.standard_normal((n, len(sigma)))
-    for k in range(1, n):
-        out[k] = keep * out[k - 1] + np.sqrt(1 - keep**2) * out[k]
-    return np.asarray(out * sigma)
+    return lasting(rng.standard_normal((n, len(sigma))), STEP_S, time_s) * sigma
 
 
 def draw(seed: int, spec: Spec) -> Drawn:
@@ -241,14 +238,6 @@ def pose_errors(found: Trajectory, truth: Trajectory) -> ArrayF:
     return np.column_stack([found.position_wcs_m - truth.position_wcs_m, turned.as_rotvec()])
 
 
-def nees(error: ArrayF, cov: ArrayF) -> float:
-    """Mean normalised squared error over the components."""
-    return float(
-        np.mean(np.einsum("ni,ni->n", error, np.linalg.solve(cov, error[:, :, None])[:, :, 0]))
-        / error.shape[1]
-    )
-
-
 def replaced(drawn: Drawn, found: Adjusted) -> ArrayF:
     """The points (n, 3) with the adjusted poses and mount."""
     x, t = drawn.sample.xyz_wcs_m, drawn.sample.t_gps_s
@@ -279,7 +268,7 @@ def score(seed: int, spec: Spec) -> dict[str, float]:
     for name, trajectory in (("before", poses), ("after", found.trajectory)):
         e = pose_errors(trajectory, drawn.truth)[use]
         cov = trajectory.cov_pose_wcs[use]
-        row[f"nees_{name}"] = nees(e, cov)
+        row[f"nees_{name}"] = float(np.mean(normalised_squares(e, cov)) / 6)
         row[f"position_{name}_mm"] = 1e3 * float(np.sqrt(np.mean(e[:, :3] ** 2)))
         row[f"attitude_{name}_deg"] = float(np.rad2deg(np.sqrt(np.mean(e[:, 3:] ** 2))))
         row[f"sigma_position_{name}_mm"] = 1e3 * float(
