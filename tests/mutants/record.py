@@ -10,22 +10,26 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
-from snakemake.script import PythonScript
 
-folder = Path(sys.argv[1])
-numbers = count(len([*folder.glob("*.py")]))
-write = PythonScript.write_script
+def main(folder: Path, words: list[str]) -> None:
+    """Run Snakemake with these words."""
+    from snakemake.script import PythonScript
+
+    numbers = count(len([*folder.glob("*.py")]))
+    write = PythonScript.write_script
+
+    def kept(script: Any, preamble: str, fd: Any) -> None:
+        """Write the script of a job, and keep a copy of it with the names of its results."""
+        write(script, preamble, fd)
+        path = folder / f"{next(numbers):04}_{script.rulename}.py"
+        with path.open("wb") as copy:
+            write(script, preamble, copy)
+        path.with_suffix(".json").write_text(json.dumps([str(each) for each in script.output]))
+
+    PythonScript.write_script = kept
+    sys.argv[1:] = words
+    runpy.run_module("snakemake", run_name="__main__", alter_sys=True)
 
 
-def kept(script: Any, preamble: str, fd: Any) -> None:
-    """Write the script of a job, and keep a copy of it with the names of its results."""
-    write(script, preamble, fd)
-    path = folder / f"{next(numbers):04}_{script.rulename}.py"
-    with path.open("wb") as copy:
-        write(script, preamble, copy)
-    path.with_suffix(".json").write_text(json.dumps([str(each) for each in script.output]))
-
-
-PythonScript.write_script = kept
-sys.argv[1:] = sys.argv[2:]
-runpy.run_module("snakemake", run_name="__main__", alter_sys=True)
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), sys.argv[2:])

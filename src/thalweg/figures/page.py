@@ -360,8 +360,8 @@ def findings_of(page: str) -> list[Finding]:
     [Finding(quantity='RMSE & n', value='5 cm, 4', verdict='consistent', href='')]
     """
     _, _, rest = page.partition('<table class="findings">')
-    found = _FINDING.findall(rest.partition("</table>")[0])
-    return [Finding(*map(unescape, cells)) for cells in found]
+    table = rest.partition("</table>")[0].replace("\N{NO-BREAK SPACE}", " ")
+    return [Finding(*map(unescape, cells)) for cells in _FINDING.findall(table)]
 
 
 def small_picture(file: Path, width_px: int, quality: int) -> str:
