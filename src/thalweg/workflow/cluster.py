@@ -216,6 +216,7 @@ def start_snakemake_once() -> None:
     twice = plugin.Executor.additional_general_args
 
     def additional_general_args(executor: Any) -> str:
+        """Words that make the Snakemake of a job's script start another; none where one does the work."""
         settings = executor.workflow.executor_settings
         return twice(executor) if settings.array_jobs or settings.efficiency_report else ""
 

@@ -335,12 +335,14 @@ def _keep_payloads(buf: ArrayU8, n: int, sinks: Sinks) -> int:
     a, b, link = sinks.out[:n, :3].T.copy()
 
     def without(bad: ArrayB, cell: int, *columns: ArrayI) -> tuple[ArrayI, ...]:
+        """The columns (k,) of the frames that are not bad (n,); those are counted in a cell of the tally."""
         if not bad.any():
             return columns
         tally[cell] += np.count_nonzero(bad)
         return tuple(column[~bad] for column in columns)
 
     def note_cut(cut: ArrayB, end: ArrayI) -> None:
+        """Keep the largest captured and sent lengths of cut frames, whose payloads end at ``end`` (n,)."""
         if cut.any():
             tally[_CUT_TO] = max(tally[_CUT_TO], (b - a)[cut].max())
             tally[_CUT_FROM] = max(tally[_CUT_FROM], (end - a)[cut].max())
