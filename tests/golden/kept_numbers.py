@@ -1,8 +1,9 @@
-"""Every number that the small campaigns give, in tables that are kept: no change of code moves one unseen.
+"""Every number that small campaigns give, in tables that are kept: no change of code moves one unseen.
 
     python tests/golden/kept_numbers.py          # runs the campaigns twice and writes the tables anew
     python tests/golden/kept_numbers.py A B      # the same, where they have run in these two folders
 
+The campaigns are four of the digital twin, and the examples of real recordings where these are there.
 One row for each column of a table, dimension of a cloud, band of a raster and value of a document: how many
 are finite, their mean and standard deviation, and the share by which they may differ. Other tests say why a
 number is right; these tables say that it is the one of yesterday, also where no other test looks. A change
@@ -15,6 +16,7 @@ moves a value by more than `SHARE` gets wider limits, ten times what was seen.
 
 import os
 import re
+import runpy
 import shutil
 import subprocess
 import sys
@@ -37,7 +39,22 @@ CAMPAIGNS: Final[dict[str, tuple[str, ...]]] = {
     "basin_tiny": ("triangulation/panels.csv", "accuracy/light_sheet_truth.csv"),
 }
 """Campaigns of the digital twin that the suite runs, and up to which results if not to all."""
+EXAMPLES: Final = "config/campaigns/examples"
+RECORDINGS: Final[dict[str, tuple[str, ...]]] = {
+    "cloud": ("index.html",),
+    "finished_photographs": ("index.html",),
+    "fixed_camera": ("index.html",),
+    "gnss": ("index.html", "orientation/track.geojson"),  # all builds the track; no page needs it
+    "photograph_positions": ("index.html",),
+    "photographs": ("index.html",),
+    "lidar": ("lidar/points.laz",),  # pictures of a cloud are those of every survey
+    "lidar_without_pps": ("lidar/points.laz",),
+}
+"""Examples of real recordings that the suite runs, and up to which results."""
+SEARCHED_PX: Final = {"photographs": 600, "photograph_positions": 450}
+"""Pixels of the longer side in which features are searched: enough to orient these, in less time."""
 REPOSITORY: Final = Path(__file__).resolve().parents[2]
+DATA: Final = Path(os.environ.get("THALWEG_DATA", REPOSITORY.parent / "shared/data"))
 COPIED: Final = ("Snakefile", "config", "envs", "profiles", "resources", "src", "workflow")
 PLAIN: Final = {
     "NUMBA_CPU_NAME": "generic",
@@ -155,10 +172,29 @@ def run_campaigns(
         copy = shutil.copytree if (REPOSITORY / name).is_dir() else shutil.copy
         copy(REPOSITORY / name, house / name)
     variables = {**os.environ, "PYTHONPATH": str(house / "src"), **environment}
-    for campaign, results in CAMPAIGNS.items():
-        targets = [f"results/{campaign}/{name}" for name in results]
+    chosen = [
+        (campaign, [f"results/{campaign}/{name}" for name in names]) for campaign, names in CAMPAIGNS.items()
+    ]
+    if DATA.is_dir():
+        chosen.append(with_examples(house, DATA))
+    for campaign, targets in chosen:
         words = ["--cores", "2", "--quiet", "all", *more, "--config", f"campaign={campaign}", "--", *targets]
         subprocess.run([sys.executable, *snakemake, *words], cwd=house, env=variables, check=True)
+
+
+def with_examples(house: Path, data: Path) -> tuple[str, list[str]]:
+    """Make the files of the examples in a copy of the checkout.
+
+    Returns
+    -------
+    ``campaign`` of all of them, and what Snakemake is to make.
+    """
+    runpy.run_path(str(house / EXAMPLES / "prepare.py"))["main"](data)
+    for name, size_px in SEARCHED_PX.items():
+        path = house / EXAMPLES / f"{name}.yaml"
+        path.write_text(path.read_text().replace("max_size_px: 1000", f"max_size_px: {size_px}"))
+    files = ",".join(f"{EXAMPLES}/{name}.yaml" for name in RECORDINGS)
+    return f"[{files}]", [f"results/{name}/{made}" for name, all_of in RECORDINGS.items() for made in all_of]
 
 
 def main(folders: Sequence[Path]) -> None:
@@ -169,7 +205,7 @@ def main(folders: Sequence[Path]) -> None:
             run_campaigns(folders[0], {})
             run_campaigns(folders[1], {**PLAIN, "NUMBA_CACHE_DIR": f"{scratch}/kernels"})
         KEPT.mkdir(exist_ok=True)
-        for campaign in CAMPAIGNS:
+        for campaign in [*CAMPAIGNS, *RECORDINGS] if DATA.is_dir() else CAMPAIGNS:
             table, other = (numbers_of(folder / "results" / campaign) for folder in folders)
             table["share"] = shares(table, other).map("{:.2g}".format)
             table["sd"] = table["sd"].map("{:.6g}".format)

@@ -15,6 +15,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from tests.golden.kept_numbers import (
     CAMPAIGNS,
     COPIED,
+    RECORDINGS,
     REPOSITORY,
     moved,
     numbers_of,
@@ -56,8 +57,10 @@ def prepared(kept: Path) -> Path:
 
 def jobs_of(house: Path) -> Iterator[Job]:
     """The jobs that give numbers which are kept."""
-    for campaign in CAMPAIGNS:
+    for campaign in (*CAMPAIGNS, *RECORDINGS):
         base = Path("results", campaign)
+        if not (house / base).is_dir():  # no recordings are there
+            continue
         kept = {*read_kept(campaign).index.get_level_values("file")}
         for script in sorted((house / "jobs").glob("*.py")):
             made = [Path(each) for each in json.loads(script.with_suffix(".json").read_text())]

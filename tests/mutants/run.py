@@ -689,7 +689,8 @@ def report(runs: Sequence[Run], seed: int, cpu_s: float, wall_s: float, left: in
         "`tests/mutants/mutations.py` tells count as survivors. Studies and real recordings (tests",
         "marked slow, real) are not run. Instead of tests of campaigns (workflow), jobs of "
         f"{', '.join(campaigns.CAMPAIGNS)}",
-        "meet what survives all other tests, and their numbers are compared with those that are kept.",
+        "and, where recordings are there, of the examples meet what survives all other tests, and their",
+        "numbers are compared with those that are kept.",
         "",
         f"- seed {seed} (`make mutants SEED={seed}` repeats it), commit {commit or 'unknown'}, "
         f"{datetime.datetime.now(datetime.UTC).date()}",

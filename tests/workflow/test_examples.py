@@ -2,7 +2,6 @@
 
 import json
 import re
-import runpy
 import shutil
 
 import laspy
@@ -11,42 +10,39 @@ import pandas as pd
 import pytest
 from numpy.testing import assert_allclose
 
+from tests.golden.kept_numbers import EXAMPLES, RECORDINGS, moved_since_kept, with_examples
 from thalweg.cli import main
 from thalweg.core import gps_from_unix, unix_from_gps
 from thalweg.figures.front import LEADS
 from thalweg.settings import load_campaign
 
 pytestmark = [pytest.mark.workflow, pytest.mark.real]
-EXAMPLES = "config/campaigns/examples"
-WHOLE = ("cloud", "finished_photographs", "fixed_camera", "gnss", "photograph_positions", "photographs")
-"""Run to their front page."""
-CLOUDS = ("lidar", "lidar_without_pps")
-"""Run to their cloud: its pictures are those of every survey. `soundings` is in test_subsets."""
+WHOLE = tuple(name for name, made in RECORDINGS.items() if "index.html" in made)
+"""Run to their front page. `soundings` is in test_subsets."""
 
 
 @pytest.fixture(scope="module")
 def examples(repository, tmp_path_factory, house_builder, data_dir):
     """A copy of the repository in which the examples ran."""
     house = house_builder(repository, tmp_path_factory.mktemp("examples"))
-    runpy.run_path(str(house.root / EXAMPLES / "prepare.py"))["main"](data_dir)
-    for name, size_px in (("photographs", 600), ("photograph_positions", 450)):  # enough pixels to orient
-        path = house.root / EXAMPLES / f"{name}.yaml"
-        path.write_text(path.read_text().replace("max_size_px: 1000", f"max_size_px: {size_px}"))
-    chosen = [f"{EXAMPLES}/{name}.yaml" for name in (*WHOLE, *CLOUDS)]
-    targets = [f"results/{name}/index.html" for name in WHOLE]
-    targets += [f"results/{name}/lidar/points.laz" for name in CLOUDS]
-    targets.append("results/gnss/orientation/track.geojson")  # all builds it; no page needs it
-    house.snakemake(*targets, "--config", f"campaign=[{','.join(chosen)}]")
+    campaign, targets = with_examples(house.root, data_dir)
+    house.snakemake(*targets, "--config", f"campaign={campaign}")
     return house
 
 
 def test_each_file_is_checked_and_says_what_it_gives(examples, capsys):
     files = sorted((examples.root / EXAMPLES).glob("*.yaml"))
     files = [file for file in files if file.stem != "sbet_photographs"]  # logs of the twin, in test_tiny
-    assert len(files) == len(WHOLE) + len(CLOUDS) + 1
+    assert len(files) == len(RECORDINGS) + 1
     assert main(["check-config", *map(str, files)]) == 0
     text = capsys.readouterr().out
     assert text.count(": ok. ") == text.count("\n  gives: ") == len(files)
+
+
+@pytest.mark.parametrize("name", RECORDINGS)
+def test_no_number_has_moved_unseen(examples, name):
+    """Results of each example beside the tables that are kept (`tests/golden/kept_numbers.py`)."""
+    assert moved_since_kept(examples.root / "results" / name) == []
 
 
 @pytest.mark.parametrize("name", WHOLE)
