@@ -11,8 +11,8 @@ import pytest
 from PIL import Image, ImageFilter
 
 from tests.images.sfm_scene import FISHEYE, PERSPECTIVE, Photographs, photographs, similarity
-from thalweg.core import Camera, InputError, LocalFrame, Trajectory, exp_rotation
-from thalweg.images.model import ImageBlock, ImagePoses
+from thalweg.core import Camera, InputError, LocalFrame, Trajectory
+from thalweg.images.model import ImageBlock
 from thalweg.images.sfm import (
     Known,
     Matches,
@@ -30,7 +30,6 @@ from thalweg.settings.sections import FeatureSettings, MappingSettings
 
 KNOWN = Known(cameras=(PERSPECTIVE,))
 FIXED = MappingSettings(interior="fixed")
-PREDICTED = MappingSettings(interior="fixed", method="predicted")
 
 
 @pytest.fixture(scope="module")
@@ -81,54 +80,6 @@ def test_poses_are_those_of_the_scene(wall, matches):
     rms = np.sqrt(np.mean(np.sum(block.residuals_px() ** 2, axis=1)))
     assert rms == pytest.approx(mapped.facts["pieces"][0]["rms_px"])
     assert rms < 0.5
-
-
-def predicted(wall: Photographs) -> ImagePoses:
-    """Poses as a trajectory would tell them: errors of 0.1 units and 0.4 degrees, one of 25 degrees."""
-    rng, n = np.random.default_rng(3), len(wall.files)
-    turn = np.radians(0.4) * rng.standard_normal((n, 3))
-    turn[4, 1] += np.radians(25)
-    return ImagePoses(
-        frame=LocalFrame(lat_deg=51.0, lon_deg=13.0, h_ell_m=100.0),
-        images=tuple(f.name for f in wall.files),
-        t_gps_s=np.arange(n) * 1.0,
-        sigma_t_s=np.full(n, 0.02),
-        oriented=np.ones(n, np.bool_),
-        reasons=("",) * n,
-        centre_wcs_m=wall.centre + 0.1 * rng.standard_normal((n, 3)),
-        R_wcs_ccs=exp_rotation(turn) @ wall.R,
-        cov_pose_wcs=np.tile(np.diag([0.01] * 3 + [5e-5] * 3), (n, 1, 1)),
-        cov_next=np.zeros((n, 6, 6)),
-        n_marks=np.zeros(n),
-        rms_px=np.full(n, np.nan),
-    )
-
-
-def test_the_block_begins_with_the_predicted_poses(wall, matches):
-    mapped = map_images(matches, predictions=predicted(wall), settings=PREDICTED)
-    (block,) = mapped.pieces
-    assert block.images == tuple(f.name for f in wall.files)
-    away, angle = errors(block, wall)
-    # as image by image
-    assert away < 0.015
-    assert angle < 0.4
-    (note,) = (line for line in mapped.facts["notes"] if "contradict" in line)
-    assert note.endswith("not used: 1, image_05.png")
-    # the frame is that of the predictions, but for the errors of two of them
-    assert np.linalg.norm(block.centre_block_m - wall.centre, axis=1).max() < 1
-    # an image without a prediction gets its pose from the points of the others
-    lacking = predicted(wall)
-    lacking.oriented[2] = False
-    (whole,) = map_images(matches, predictions=lacking, settings=PREDICTED).pieces
-    assert whole.images == block.images
-
-
-def test_predictions_that_the_images_contradict_are_not_used(wall, matches):
-    wrong = predicted(wall)
-    wrong = replace(wrong, centre_wcs_m=wrong.centre_wcs_m[::-1])
-    mapped = map_images(matches, predictions=wrong, settings=PREDICTED)
-    assert equal(mapped.pieces[0], map_images(matches, settings=FIXED).pieces[0])
-    assert any("contradict each other" in line for line in mapped.facts["notes"])
 
 
 def test_tracks_have_two_images_and_no_doubled_marks(matches):
@@ -424,13 +375,8 @@ def test_the_four_scripts(wall, matches, repository, tmp_path):
         pairs=[tmp_path / "pairs.npz"], matches=tmp_path / "matches.npz", **shared
     )
     assert np.array_equal(Matches.read(tmp_path / "matches.npz").common, matches.common)
-    predictions = predicted(wall)
-    predictions.write(tmp_path / "predictions.parquet")
-    # attitudes are written as quaternions
-    predictions = ImagePoses.read(tmp_path / "predictions.parquet")
     script("map_images")(  # type: ignore[operator]
         matches=tmp_path / "matches.npz",
-        predictions=tmp_path / "predictions.parquet",
         block=tmp_path / "block.npz",
         pieces=tmp_path / "pieces",
         images=tmp_path / "images.csv",
@@ -440,7 +386,7 @@ def test_the_four_scripts(wall, matches, repository, tmp_path):
         device="cpu",
     )
     block = ImageBlock.read(tmp_path / "block.npz")
-    assert equal(block, map_images(matches, predictions=predictions, settings=FIXED).pieces[0])
+    assert equal(block, map_images(matches, settings=FIXED).pieces[0])
     assert pd.read_csv(tmp_path / "images.csv")["registered"].all()
     assert json.loads((tmp_path / "facts.json").read_text())["registered"] == len(wall.files)
     assert list((tmp_path / "pieces").iterdir()) == []

@@ -212,7 +212,6 @@ rule map_images:
     """Structure from motion: a block of images in a frame of its own."""
     input:
         matches="results/{campaign}/orientation/sfm/matches.npz",
-        predictions="results/{campaign}/orientation/image_predictions.parquet",
     output:
         block="results/{campaign}/orientation/sfm/block.npz",
         pieces=directory("results/{campaign}/orientation/sfm/pieces"),

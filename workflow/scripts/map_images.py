@@ -1,10 +1,9 @@
-"""Matches, predicted poses -> block of images in its own frame, its pieces, and what became of each image."""
+"""Matches -> block of images in its own frame, its pieces, and what became of each image."""
 
 import json
 import logging
 from pathlib import Path
 
-from thalweg.images.model import ImagePoses
 from thalweg.images.sfm import Matches, block_facts, image_table, main_block, map_images
 from thalweg.settings.sections import MappingSettings
 from thalweg.workflow import run_job
@@ -13,7 +12,6 @@ from thalweg.workflow import run_job
 def main(
     *,
     matches: Path,
-    predictions: Path,
     block: Path,
     pieces: Path,
     images: Path,
@@ -23,9 +21,7 @@ def main(
     device: str,
 ) -> None:
     found = Matches.read(matches)
-    mapped = map_images(
-        found, predictions=ImagePoses.read(predictions), settings=options, threads=threads, device=device
-    )
+    mapped = map_images(found, settings=options, threads=threads, device=device)
     table = image_table(found, mapped)
     told = block_facts(found, mapped, table)
     for note in told["notes"]:

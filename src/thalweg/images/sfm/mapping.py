@@ -1,4 +1,4 @@
-"""Images put together to a block by COLMAP: from predicted poses, image by image, or all at once.
+"""Images put together to a block by COLMAP: image by image, or all at once.
 
 The frame of each piece is its own: any origin, attitude and scale.
 """
@@ -17,7 +17,7 @@ from scipy.sparse import coo_matrix, csr_matrix
 from scipy.sparse.csgraph import connected_components
 
 from thalweg.core import NMAD, ArrayB, ArrayF, ArrayI, Camera, InputError
-from thalweg.images.model import ImageBlock, ImagePoses
+from thalweg.images.model import ImageBlock
 from thalweg.images.sfm.colmap import SEED, colmap, from_colmap, uses_gpu
 from thalweg.images.sfm.matching import Matches, fill_database
 from thalweg.settings.sections import MappingSettings
@@ -67,29 +67,10 @@ _STILL: Final = 1e-3
 """Share of the longer side by which points move at most in pictures of a camera that stood still."""
 _WIDEST: Final = 1.0 / 3.0
 """Focal length over the longer side: a perspective lens of 112 degrees; wider ones are fisheyes."""
-_LIMITS: Final = (16.0, 4.0, 1.0)
-"""Residual above which a mark is dropped in each round from predicted poses, in units of the last one."""
-_STEPS: Final = 10
-"""Steps of the adjustment in each of these rounds; the last one goes on until it stands still."""
-_SUPPORT: Final = 0.5
-"""Share of its tracks that an image keeps at least, in units of the median: else its prediction is wrong."""
-_NEAR: Final = 0.3
-"""Depth, in units of the median, below which a point takes no part before the poses are nearly right."""
-_AGREEMENT: Final = 0.9
-"""See `_agreement`: 0.99 and more of right blocks, 0.6 where predictions are wrong as a whole."""
-_KEPT: Final = 0.8
-"""Median share of their tracks that images keep at least: 1.0 in right blocks, 0.5 to 0.9 in wrong ones."""
-_PREDICTED: Final = 0.8
-"""Share of the images that must have a prediction, and of those joined by pairs that must get a pose."""
 
 
 def map_images(
-    matches: Matches,
-    *,
-    predictions: ImagePoses | None = None,
-    settings: MappingSettings | None = None,
-    threads: int = 1,
-    device: str = "auto",
+    matches: Matches, *, settings: MappingSettings | None = None, threads: int = 1, device: str = "auto"
 ) -> Mapped:
     """Put images together.
 
@@ -100,7 +81,6 @@ def map_images(
     Parameters
     ----------
     matches : of all images.
-    predictions : approximate poses from trajectory, clock and mount, by the names of images.
     settings : see `MappingSettings`.
     threads : of the adjustments within the mapper, unless it is to be repeatable.
     device : ``images.device``; the facts say which one it was.
@@ -123,13 +103,8 @@ def map_images(
         if on_gpu:
             notes.append(f"structure from motion on a graphics card (images.device: {device})")
         used = 1 if use.repeatable else max(1, threads)
-        models: list[Any] = []
-        if predictions is not None and _starts_from_predictions(matches, predictions, use):
-            models = _predicted(folder, matches, predictions, use, used, on_gpu, notes)
-        if use.method == "global":
-            models = _global(folder, matches, use, used, on_gpu)
-        elif not models:
-            models = _incremental(folder, matches, use, used, on_gpu)
+        put_together = _global if use.method == "global" else _incremental
+        models = put_together(folder, matches, use, used, on_gpu)
         models = [_refined(model, matches, use, notes, on_gpu) for model in models]
         found = [piece for model in models for piece in _pieces(model, matches, use, notes)]
     good = []
@@ -254,116 +229,6 @@ def impossible_lens(camera: Camera) -> str:
     if len(falls) and imaged[: falls[0] + 1].max() < corner:
         return f"impossible, it folds the picture {f * imaged[falls[0]]:.0f} px from the centre"
     return ""
-
-
-def _starts_from_predictions(matches: Matches, predictions: ImagePoses, use: MappingSettings) -> bool:
-    if use.method != "predicted":
-        return False
-    known = dict(zip(predictions.images, predictions.oriented, strict=True))
-    share = np.mean([known.get(matches.pictures[k].name, False) for k in matches.order])
-    return len(matches.order) > 2 and bool(share >= _PREDICTED)
-
-
-def _predicted(
-    folder: Path,
-    matches: Matches,
-    predictions: ImagePoses,
-    use: MappingSettings,
-    threads: int,
-    on_gpu: bool,
-    notes: list[str],
-) -> list[Any]:
-    """All tracks intersected from the predicted poses, and rounds of robust adjustment: linear in the images.
-
-    An image that keeps few of its tracks contradicts its prediction, and is resected from the points of the
-    others, as are images without a prediction. Nothing comes back where that leaves too few.
-    """
-    pc = colmap()
-    o = _options(pc, matches, use, threads, on_gpu)
-    about = pc.DatabaseCacheOptions()
-    about.min_num_matches = use.min_inliers
-    with pc.Database.open(folder / "block.db") as database:
-        cache = pc.DatabaseCache.create(database, about)
-    model, mapper = pc.Reconstruction(), pc.IncrementalMapper(cache)
-    model.load(cache)
-    keys = sorted(int(key) for key in model.images)
-    row = {name: k for k, name in enumerate(predictions.images) if predictions.oriented[k]}
-    for key in keys:
-        if (at := row.get(matches.pictures[key - 1].name)) is not None:
-            R = predictions.R_wcs_ccs[at].T
-            model.frame(key).rig_from_world = pc.Rigid3d(pc.Rotation3d(R), -R @ predictions.centre_wcs_m[at])
-            model.register_frame(key)
-    mapper.begin_reconstruction(model)
-    tracks = _tracked(matches)
-    options, intersection, adjustment = (
-        o.get_mapper(),
-        o.get_triangulation(),
-        o.get_global_bundle_adjustment(),
-    )
-    limit_px = options.filter_max_reproj_error
-    ceres = adjustment.ceres
-    ceres.loss_function_type = pc.LossFunctionType.CAUCHY
-    # a strip is sparse at any length
-    ceres.max_num_images_direct_sparse_cpu_solver += len(keys)
-    ceres.solver_options.function_tolerance = 1e-4
-    contradicted: list[int] = []
-    for factor in _LIMITS:
-        ceres.loss_function_scale = factor * limit_px / 2
-        ceres.solver_options.max_num_iterations = _STEPS if factor > 1 else 5 * _STEPS
-        intersection.merge_max_reproj_error = intersection.complete_max_reproj_error = factor * limit_px
-        options.filter_max_reproj_error = factor * limit_px
-        # anew in each round: only the last one takes points near a camera, the false of which hold its pose
-        for point in sorted(model.point3D_ids()):
-            mapper.observation_manager.delete_point3D(point)
-        for key in keys:
-            if model.image(key).has_pose:
-                mapper.triangulate_image(intersection, key)
-        mapper.complete_and_merge_tracks(intersection)
-        mapper.retriangulate(intersection)
-        if factor > 1:
-            for point in _near(model, matches):
-                mapper.observation_manager.delete_point3D(point)
-        mapper.adjust_global_bundle(options, adjustment)
-        mapper.filter_points(options)
-        posed = [key for key in keys if model.image(key).has_pose]
-        share = np.array([model.image(key).num_points3D / max(tracks[key - 1], 1) for key in posed])
-        middle = float(np.median(share))
-        for key, part in zip(posed, share.tolist(), strict=True):
-            if part < _SUPPORT * middle:
-                mapper.observation_manager.deregister_frame(key)
-                contradicted.append(key)
-        while factor > _LIMITS[-1]:
-            added = [
-                k for k in mapper.find_next_images(options, False) if mapper.register_next_image(options, k)
-            ]
-            if not added:
-                break
-            for key in added:
-                mapper.triangulate_image(intersection, key)
-    mapper.end_reconstruction(False)
-    agreement = _agreement(model, matches)
-    component = _components(len(matches.pictures), matches.pairs[matches.n_common >= use.min_inliers])
-    few = model.num_reg_images() < _PREDICTED * (component == 0).sum()
-    if few or agreement < _AGREEMENT or middle < _KEPT:
-        notes.append(
-            f"images and predicted poses contradict each other ({model.num_reg_images()} of {len(keys)} "
-            f"images got a pose, {100 * agreement:.0f} % of the common points agree): put together image by "
-            "image"
-        )
-        return []
-    if contradicted:
-        names = [matches.pictures[key - 1].name for key in dict.fromkeys(contradicted)]
-        notes.append(
-            f"predicted poses that the images contradict, and that are not used: {len(names)}, "
-            f"{', '.join(names[:_NAMED])}" + (" ..." if len(names) > _NAMED else "")
-        )
-    return [model]
-
-
-def _tracked(matches: Matches) -> ArrayI:
-    """(i,) features of each image that have a common point with two other images or more."""
-    often = np.bincount(_rows_in_common(matches).ravel(), minlength=int(matches.start[-1])) >= 2
-    return np.asarray(np.diff(np.concatenate([[0], np.cumsum(often)])[matches.start]))
 
 
 def _incremental(
@@ -497,37 +362,6 @@ def _tracks(model: Any, matches: Matches) -> tuple[list[int], ArrayI, ArrayI, Ar
     ]
     image, feature, point = np.array(rows, np.int64).reshape(-1, 3).T
     return ids, image, feature + matches.start[image], point
-
-
-def _near(model: Any, matches: Matches) -> list[int]:
-    """COLMAP's numbers of points that some image has at less than `_NEAR` of the median depth."""
-    ids, image, _, point = _tracks(model, matches)
-    if not ids:
-        return []
-    poses = {k: model.image(k + 1).cam_from_world().matrix()[2] for k in np.unique(image).tolist()}
-    axis = np.array([poses[k] for k in image.tolist()])
-    xyz = np.array([model.point3D(p).xyz for p in ids])
-    depth = np.sum(axis[:, :3] * xyz[point], axis=1) + axis[:, 3]
-    return [ids[k] for k in np.unique(point[depth < _NEAR * np.median(depth)])]
-
-
-def _agreement(model: Any, matches: Matches) -> float:
-    """Share of the common points of pairs, where both marks are of points, that are marks of one point.
-
-    Images at wrong places keep marks, too: tracks fall into pieces, each of which fits the images that agree.
-    """
-    _, _, feature, point = _tracks(model, matches)
-    of = np.full(int(matches.start[-1]), -1)
-    of[feature] = point
-    a, b = of[_rows_in_common(matches)].T
-    both = (a >= 0) & (b >= 0)
-    return float(np.mean(a[both] == b[both])) if both.any() else 0.0
-
-
-def _rows_in_common(matches: Matches) -> ArrayI:
-    """(c, 2) rows of ``matches.place`` of the common points."""
-    first = np.repeat(matches.start[matches.pairs], matches.n_common, axis=0)
-    return np.asarray(first + matches.common, np.int64)
 
 
 # ---------------------------------------------------------------- marks of points in images: doubled ones

@@ -89,12 +89,10 @@ class MappingSettings(Section):
     min_inliers: int = Field(
         default=15, ge=8, le=1000, description="Common points that a pair of images must have"
     )
-    method: Literal["incremental", "predicted", "global"] = Field(
+    method: Literal["incremental", "global"] = Field(
         default="incremental",
-        description="`incremental`: image by image; `predicted`: all images from their poses by trajectory, "
-        "clock and mount, adjusted together in a time linear in their number, and image by image where fewer "
-        "than four fifths have such a pose or the images contradict them; `global`: all at once, faster for "
-        "large blocks, less patient with weak ones",
+        description="`incremental`: image by image; `global`: all at once, faster for large blocks, less "
+        "patient with weak ones",
     )
     interior: Literal["auto", "estimated", "fixed"] = Field(
         default="auto",

@@ -1,12 +1,10 @@
-"""Common points of images of a boat that passes a bank, without pictures, and the poses that it predicts."""
-
-from dataclasses import dataclass, replace
+"""Common points of images of a boat that passes a bank, without pictures."""
 
 import numpy as np
 
 from tests.images.block_scene import looking, project
-from thalweg.core import ArrayF, ArrayI, Camera, LocalFrame, exp_rotation
-from thalweg.images.model import ImagePoses, Picture
+from thalweg.core import ArrayI, Camera
+from thalweg.images.model import Picture
 from thalweg.images.sfm.colmap import start_given
 from thalweg.images.sfm.matching import Matches
 
@@ -18,30 +16,8 @@ DENSITY = 120
 """Places for each metre of the bank; an image finds three of ten within 12 m."""
 
 
-@dataclass(frozen=True)
-class Voyage:
-    """Matches, the true poses, those predicted, and the images with gross errors of the prediction."""
-
-    matches: Matches
-    truth: ImagePoses
-    predictions: ImagePoses
-    gross: ArrayI
-
-
-def voyage(
-    n: int,
-    *,
-    seed: int = 1,
-    gross: int = 0,
-    position_m: float = 0.1,
-    attitude_deg: float = 0.3,
-    mount_deg: float = 0.5,
-) -> Voyage:
-    """An image a metre, 16 to 26 m off the bank; marks of 0.4 px, one common point of a hundred is false.
-
-    Predictions err by position and attitude for some 20 images alike, by 50 ms of the clock and by the mount;
-    the gross ones by 5 m or 20 degrees.
-    """
+def voyage(n: int, *, seed: int = 1) -> Matches:
+    """An image a metre, 16 to 26 m off the bank; marks of 0.4 px, one common point of a hundred is false."""
     rng = np.random.default_rng(seed)
     t, m = np.linspace(0.0, n - 1.0, n), DENSITY * (n + 30)
     C = np.stack([t, 2 * np.sin(t / 6.4) + 0.3 * np.sin(t), 1.5 + 0.05 * np.cos(0.7 * t)], axis=1)
@@ -60,7 +36,7 @@ def voyage(
     place = [np.column_stack([xy, np.full(len(xy), 2.0)]) for _, xy in seen]
     names = tuple(f"{k:04d}.jpg" for k in range(n))
     counts = np.array([len(c) for c in common])
-    matches = Matches(
+    return Matches(
         pictures=tuple(Picture(name=name, size_px=CAMERA.size_px) for name in names),
         order=np.arange(n),
         starts=(start_given(CAMERA),),
@@ -75,31 +51,6 @@ def voyage(
         common=np.concatenate(common).astype(np.uint32),
         facts={"max_size_px": 3200, "notes": []},
     )
-    sigma = np.repeat([position_m, np.radians(attitude_deg)], 3)
-    truth = ImagePoses(
-        frame=LocalFrame(lat_deg=51.0, lon_deg=13.0, h_ell_m=100.0),
-        images=names,
-        t_gps_s=t,
-        sigma_t_s=np.full(n, 0.05),
-        oriented=np.ones(n, np.bool_),
-        reasons=("",) * n,
-        centre_wcs_m=C,
-        R_wcs_ccs=R,
-        cov_pose_wcs=np.tile(np.diag(sigma**2), (n, 1, 1)),
-        cov_next=np.zeros((n, 6, 6)),
-        n_marks=np.zeros(n),
-        rms_px=np.zeros(n),
-    )
-    wrong = rng.choice(n, gross, replace=False)
-    error = sigma * _slow(rng, n)
-    error[:, :3] += 0.05 * np.gradient(C, axis=0)
-    error[wrong[::2], 5] += np.radians(20)
-    error[wrong[1::2], :3] += 5.0 * rng.standard_normal((len(wrong) // 2, 3))
-    mount = exp_rotation(np.radians(mount_deg) * rng.standard_normal(3) / np.sqrt(3))
-    predictions = replace(
-        truth, centre_wcs_m=C + error[:, :3], R_wcs_ccs=exp_rotation(error[:, 3:]) @ R @ mount
-    )
-    return Voyage(matches, truth, predictions, np.sort(wrong))
 
 
 def _common(rng: np.random.Generator, one: ArrayI, two: ArrayI) -> ArrayI:
@@ -108,12 +59,3 @@ def _common(rng: np.random.Generator, one: ArrayI, two: ArrayI) -> ArrayI:
     false = rng.random(len(rows)) < 0.01
     rows[false, 1] = rng.integers(0, len(two), int(false.sum()))
     return np.asarray(rows[np.unique(rows[:, 1], return_index=True)[1]])
-
-
-def _slow(rng: np.random.Generator, n: int, images: float = 20.0) -> ArrayF:
-    """(n, 6) errors of unit variance that are alike for some images."""
-    keep = np.exp(-1 / images)
-    out = rng.standard_normal((n, 6))
-    for k in range(1, n):
-        out[k] = keep * out[k - 1] + np.sqrt(1 - keep**2) * out[k]
-    return out
