@@ -49,7 +49,7 @@ def order(studies: Mapping[str, Mapping[str, Any]], root: Path = ROOT) -> list[s
 def words(name: str, entry: Mapping[str, Any]) -> list[str]:
     """Targets and settings of Snakemake that make a record's results."""
     if "campaign" not in entry:
-        return [name]
+        return [name, *entry.get("pictures", {}).values()]
     targets = ["all", "reproduce"] if name == "ledger" else ["all"]
     return [*targets, "--config", f"campaign=[{','.join(entry['campaign'])}]"]
 

@@ -323,6 +323,8 @@ def test_the_table_of_a_release(repository):
     assert names[-1] == "ledger"
     assert names.index("ins_lidar_study") < names.index("full")
     assert of["words"]("offset_study", studies["offset_study"]) == ["offset_study"]
+    picture = "results/reproduction/figures/bed_patterns.png"
+    assert of["words"]("bed_findings_study", studies["bed_findings_study"]) == ["bed_findings_study", picture]
     assert of["words"]("field", studies["field"]) == ["all", "--config", "campaign=[field]"]
     before = {"waves": pd.DataFrame({"of": ["a", "b"], "ratio": [1.00004, 2.0], "met": [True, True]})}
     after = {"waves": pd.DataFrame({"of": ["a", "b"], "ratio": [1.00001, 2.1], "met": [True, False]})}
