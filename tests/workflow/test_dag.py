@@ -115,7 +115,7 @@ def test_pairs_of_images_are_dealt_out_to_as_many_jobs_as_the_campaign_says(of_c
     (join,) = (job for job in found if job.rule == "join_matches")
     assert set(parts) < set(join.inputs)
     (mapping,) = (job for job in found if job.rule == "map_images")
-    assert set(mapping.inputs) == {*join.outputs}
+    assert set(mapping.inputs) == set(join.outputs)
 
 
 def test_files_of_a_rig_may_be_the_images_that_orient_the_boat(of_campaigns):

@@ -91,8 +91,8 @@ class MappingSettings(Section):
     )
     method: Literal["incremental", "global"] = Field(
         default="incremental",
-        description="`incremental`: image by image; `global`: all at once, faster for large blocks, less "
-        "patient with weak ones",
+        description="`incremental`: image by image; `global`: all at once, faster for some hundred "
+        "images, with 11 GB and more for a thousand, less patient with weak blocks",
     )
     interior: Literal["auto", "estimated", "fixed"] = Field(
         default="auto",
