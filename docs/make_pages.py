@@ -33,7 +33,7 @@ ROOT = Path(__file__).parents[1]
 _validation = runpy.run_path(str(ROOT / "docs/make_validation.py"))
 
 
-HEAD = ("commit", "code", "date", "jobs", "wall_min", "cpu_min")
+HEAD = ("version", "commit", "code", "date", "jobs", "wall_min", "cpu_min")
 """What only a run tells."""
 
 
@@ -237,12 +237,14 @@ def quoted(text: str, jinja: Environment, root: Path = ROOT) -> list[str]:
 
 
 def measured(names: Iterable[str], runs: Mapping[str, Any]) -> str:
-    """Of which code records are: ``change_study`` b92e6dd (2026-11-25), and so on."""
-    there = [(name, runs[name]) for name in names if not isinstance(runs[name]["commit"], Pending)]
-    return ", ".join(
-        f"`{name}` {'/'.join(dict.fromkeys(each[:7] for each in run['commit'].split(', ')))} ({run['date']})"
-        for name, run in there
-    )
+    """Of which code records are: ``version 1.0.0, b92e6dd (2026-11-25: `change_study`)``, and so on."""
+    of: dict[str, list[str]] = {}
+    for name in names:
+        run = runs[name]
+        if not isinstance(run["commit"], Pending):
+            commits = "/".join(dict.fromkeys(each[:7] for each in run["commit"].split(", ")))
+            of.setdefault(f"version {run['version']}, {commits} ({run['date']}", []).append(f"`{name}`")
+    return "; ".join(f"{code}: {', '.join(records)})" for code, records in sorted(of.items()))
 
 
 def recorded(text: str) -> str:

@@ -88,6 +88,7 @@ def record(name: str, entry: Mapping[str, Any], results: Path, folder: Path) -> 
     written.append(folder / f"{name}.md")
     head = {
         "command": command(name, entry),
+        "version": ", ".join(sorted({job["thalweg"] for job in jobs})),
         "commit": ", ".join(sorted({str(job["commit"]) for job in jobs})),
         "code": {job["rule"]: job["code"] for job in jobs},
         "parameters": dict(entry.get("parameters", {})),

@@ -275,7 +275,7 @@ def test_pages_hold_the_recorded_numbers(repository):
 
 
 def test_pages_say_of_which_code_their_numbers_are(repository):
-    """A record is of the code of its day: a page that quotes one names commit and date."""
+    """A record is of the code of its day: a page that quotes one names version, commit and date."""
     pages = runpy.run_path(str(repository / "docs/make_pages.py"))
     of, environment = validation(repository), pages["environment"]()
     named = 0
@@ -283,10 +283,11 @@ def test_pages_say_of_which_code_their_numbers_are(repository):
         template = (repository / "docs/pages" / path.name).read_text()
         for name in pages["quoted"](template, environment, repository):
             head = of["front_matter"](repository / f"docs/validation/{name}.md")
-            assert f"`{name}` {head['commit'][:7]}" in text, (
+            code = f"version {head['version']}, {head['commit'][:7]}"
+            assert re.search(rf"{re.escape(code)}[^;)]* \({head['date']}:[^)]*`{name}`", text), (
                 f"{path.name} quotes {name}: write {{{{ measured }}}}"
             )
-            named += head["date"] in text
+            named += 1
     assert named > 20
 
 
@@ -345,6 +346,7 @@ def small(tmp_path):
     (tmp_path / "results/waves.csv").write_text("of,ratio,low,high\nall,-1.2345,0.9,1.1\n")
     job = {
         "rule": "wave_study",
+        "thalweg": "1.0.0",
         "commit": "abc",
         "code": "123",
         "params": {"first_seed": 1, "seeds": 3},
@@ -376,6 +378,7 @@ def test_a_record_says_how_it_was_made_and_fills_the_page(repository, small):
     of["record"]("wave_study", entry, small, small / "docs/validation")
     assert of["front_matter"](small / "docs/validation/wave_study.md") == {
         "command": "make study NAME=wave_study",
+        "version": "1.0.0",
         "commit": "abc",
         "code": {"wave_study": "123"},
         "parameters": {"first_seed": 1, "seeds": 3},

@@ -54,10 +54,13 @@ def sha256_of(path: Path) -> str:
 
 
 def git_commit(folder: Path) -> str | None:
-    """Commit of the checkout that holds a folder, with ``+`` appended if it has changes; None outside git."""
+    """Commit of the checkout that holds a folder; None outside git.
+
+    ``+`` is appended if files have changed, but for those of ``docs``: records and pages make no result.
+    """
     try:
         commit = _git(folder, "rev-parse", "HEAD")
-        dirty = _git(folder, "status", "--porcelain", "--untracked-files=no")
+        dirty = _git(folder, "status", "--porcelain", "--untracked-files=no", ":(top)", ":(top,exclude)docs")
     except (OSError, subprocess.CalledProcessError):
         return None
     return commit + ("+" if dirty else "")
