@@ -19,6 +19,7 @@ from thalweg.core import InputError, column, table_kind, write_table
 from thalweg.settings.sections import Filters, Lidar
 from thalweg.workflow import job_arguments, run_job
 from thalweg.workflow.job import openblas
+from thalweg.workflow.provenance import git_commit
 
 
 class FakeJob:
@@ -118,6 +119,26 @@ def test_provenance_is_written(tmp_path):
     }
     assert record["sha256"] == "44cb730c420480a0477b505ae68af508fb90f96cf0ec54c6ad16949dd427f13a"
     assert record["libraries"]["numpy"]
+
+
+def test_changed_pages_are_no_change_of_the_code(tmp_path):
+    def git(*words: str) -> str:
+        who = ["-c", "user.name=a", "-c", "user.email=a@b.c"]
+        run = ["git", "-C", str(tmp_path), *who, *words]
+        return subprocess.run(run, check=True, capture_output=True, text=True).stdout.strip()
+
+    for name in ("src/code.py", "docs/page.md"):
+        (tmp_path / name).parent.mkdir()
+        (tmp_path / name).write_text("1")
+    assert git_commit(tmp_path) is None
+    git("init", "-q")
+    git("add", ".")
+    git("commit", "-qm", "first")
+    head = git("rev-parse", "HEAD")
+    (tmp_path / "docs/page.md").write_text("2")
+    assert git_commit(tmp_path / "src") == head
+    (tmp_path / "src/code.py").write_text("2")
+    assert git_commit(tmp_path / "src") == f"{head}+"
 
 
 def test_linear_algebra_has_one_thread_whatever_the_job_has(tmp_path):
