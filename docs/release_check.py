@@ -5,9 +5,10 @@
 .venv/bin/python docs/release_check.py --profile profiles/slurm  # further words are Snakemake's
 
 Short records come first, the ledger, which reads the others, last. A record whose code has not changed since
-is left as it is. One that fails is told, and the next one begins. The table at the end
-(docs/validation/release.md) has a line for each record: commit, minutes of the processor, verdicts (rows that
-reach their goal or lie inside their band), and how many printed numbers are others than before.
+is left as it is, with its line of the table. One that fails is told, and the next one begins. The table
+(docs/validation/release.md, written after each record) has a line for each: date, commit, minutes of the
+processor, verdicts (rows that reach their goal or lie inside their band), and how many printed numbers are
+others than before.
 """
 
 import argparse
@@ -22,6 +23,7 @@ from typing import Any, Final
 import pandas as pd
 
 ROOT = Path(__file__).parents[1]
+MADE: Final = "made again"
 validation = runpy.run_path(str(ROOT / "docs/make_validation.py"))
 
 OTHERS: Final = {
@@ -84,7 +86,7 @@ def tables(name: str, entry: Mapping[str, Any], root: Path = ROOT) -> dict[str, 
 def check(name: str, entry: Mapping[str, Any], snakemake: Sequence[str], root: Path = ROOT) -> dict[str, Any]:
     """Make one record again if its code has changed: its line of the table."""
     page = root / f"docs/validation/{name}.md"
-    before, state = tables(name, entry, root), "made again"
+    before, state = tables(name, entry, root), MADE
     if page.exists() and not validation["changed_rules"](name, entry, root):
         state = "as recorded"
     else:
@@ -99,15 +101,37 @@ def check(name: str, entry: Mapping[str, Any], snakemake: Sequence[str], root: P
     return {
         "record": name,
         "state": state,
+        "date": head["date"],
         "commit": ", ".join(each[:7] for each in head["commit"].split(", ")),
         "cpu_min": head["cpu_min"],
         "verdict": verdict(after),
-        "changed": changed_digits(before, after) if state == "made again" else "",
+        "changed": changed_digits(before, after) if state == MADE else "",
     }
 
 
+def other(name: str, last: Mapping[str, Any], root: Path = ROOT) -> dict[str, Any]:
+    """Run one of `OTHERS`, unless library and workflow are those of its last line: its line of the table."""
+    same = ["git", "diff", "--quiet", str(last.get("commit", "")), "--", "src", "workflow"]
+    if last.get("commit") and subprocess.run(same, cwd=root, check=False).returncode == 0:
+        return {"record": name, "state": "as recorded"}
+    head = subprocess.run(["git", "rev-parse", "--short=7", "HEAD"], cwd=root, capture_output=True, text=True)
+    code = subprocess.run([sys.executable, *OTHERS[name]], cwd=root, check=False).returncode
+    return {
+        "record": name,
+        "state": {0: MADE, 1: f"{MADE}, a goal is missed"}.get(code, f"failed ({code})"),
+        "date": f"{datetime.datetime.now(datetime.UTC):%Y-%m-%d}",
+        "commit": head.stdout.strip(),
+    }
+
+
+def kept(line: dict[str, Any], last: dict[str, Any]) -> dict[str, Any]:
+    """The last line of a record that is as recorded, as it says what its run changed; else the new one."""
+    known = line["state"] == "as recorded" and str(last.get("state")).startswith(MADE)
+    return last if known else line
+
+
 def main() -> int:
-    """0 if every record is of the code that is here."""
+    """0 if every record is of the code that is here, and reaches its goal."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--only", nargs="+", metavar="NAME", help="these records")
     asked, snakemake = parser.parse_known_args()
@@ -116,23 +140,22 @@ def main() -> int:
         sys.exit(f"no record {', '.join(unknown)}: there are {', '.join([*studies, *OTHERS])}")
     if not {"--cores", "-c", "--jobs", "-j", "--profile"} & {each.partition("=")[0] for each in snakemake}:
         snakemake += ["--cores", "all"]
-    rows = []
+    path = ROOT / "docs/validation/release.csv"
+    table = pd.read_csv(path, dtype=str, keep_default_na=False) if path.exists() else pd.DataFrame()
+    rows = {str(line["record"]): {str(k): v for k, v in line.items()} for line in table.to_dict("records")}
     for name in [each for each in [*order(studies), *OTHERS] if not asked.only or each in asked.only]:
         print(f"== {name}", flush=True)
-        if name in studies:
-            rows.append(check(name, studies[name], snakemake))
-        else:
-            code = subprocess.run([sys.executable, *OTHERS[name]], cwd=ROOT, check=False).returncode
-            ended = {0: "made again", 1: "made again, a goal is missed"}.get(code, f"failed ({code})")
-            rows.append({"record": name, "state": ended})
-    table = pd.DataFrame(rows)
-    text = validation["markdown"](table)
-    print(text)
-    if not asked.only:
-        today = datetime.datetime.now(datetime.UTC).date()
-        head = f"# Release check\n\nWritten by `make release-check` on {today}.\n\n"
-        (ROOT / "docs/validation/release.md").write_text(f"{head}{text}\n", encoding="utf-8")
-    return int(not table["state"].isin(["made again", "as recorded"]).all())
+        last = rows.pop(name, {})
+        rows[name] = kept(
+            check(name, studies[name], snakemake) if name in studies else other(name, last), last
+        )
+        table = pd.DataFrame(rows.values()).fillna("")
+        table.to_csv(path, index=False)
+        days = sorted({*table["date"]} - {""})
+        head = f"# Release check\n\nWritten by `make release-check`, {days[0]} to {days[-1]}.\n\n"
+        path.with_suffix(".md").write_text(f"{head}{validation['markdown'](table)}\n", encoding="utf-8")
+    print(path.with_suffix(".md").read_text(encoding="utf-8"))
+    return int(not table["state"].isin([MADE, "as recorded"]).all())
 
 
 if __name__ == "__main__":

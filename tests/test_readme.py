@@ -332,6 +332,12 @@ def test_the_table_of_a_release(repository):
     assert of["verdict"](after) == "1 of 2"
     assert of["changed_digits"](before, after) == "2 of 6"  # 2.1 and False; five digits nobody prints
     assert of["changed_digits"]({}, after) == "waves.csv has other rows or columns"
+    made, again = {"state": "made again", "changed": "2 of 6"}, {"state": "as recorded", "changed": ""}
+    assert (
+        of["kept"](again, made) == made
+    )  # a second run, after a stop, does not lose what the first one said
+    assert of["kept"](again, {"state": "failed (1)"}) == of["kept"](again, {}) == again
+    assert of["kept"](made, again) == made
 
 
 @pytest.fixture
@@ -411,6 +417,16 @@ def test_a_result_of_other_sizes_is_not_recorded(repository, small):
     path.write_text(path.read_text().replace("seeds: 3", "seeds: 60"))
     with pytest.raises(InputError, match="make study NAME=wave_study"):
         of["record"]("wave_study", of["studies"](small)["wave_study"], small, small / "docs/validation")
+
+
+def test_a_record_takes_a_list_of_a_json_file_or_single_values(repository, tmp_path):
+    read, path = validation(repository)["read"], tmp_path / "of.json"
+    path.write_text(json.dumps({"of": {"depths": [{"mm": 50, "sigma": 0.1}, {"mm": 60, "sigma": 0.2}]}}))
+    assert read(path, {"rows": "of.depths"}).to_dict("list") == {"mm": [50, 60], "sigma": [0.1, 0.2]}
+    picked = read(path, {"pick": {"second": "of.depths.1.sigma"}})
+    assert picked.to_numpy().tolist() == [["second", 0.2]]
+    with pytest.raises(InputError, match="of.heights"):
+        read(path, {"rows": "of.heights"})
 
 
 def test_a_row_of_timings_replaces_that_of_its_campaign(repository, tmp_path):
