@@ -16,10 +16,10 @@ DENSITY = 120
 """Places for each metre of the bank; an image finds three of ten within 12 m."""
 
 
-def voyage(n: int, *, seed: int = 1) -> Matches:
+def voyage(n: int, *, seed: int = 1, density: int = DENSITY) -> Matches:
     """An image a metre, 16 to 26 m off the bank; marks of 0.4 px, one common point of a hundred is false."""
     rng = np.random.default_rng(seed)
-    t, m = np.linspace(0.0, n - 1.0, n), DENSITY * (n + 30)
+    t, m = np.linspace(0.0, n - 1.0, n), density * (n + 30)
     C = np.stack([t, 2 * np.sin(t / 6.4) + 0.3 * np.sin(t), 1.5 + 0.05 * np.cos(0.7 * t)], axis=1)
     yaw = 0.03 * np.sin(1.3 * t) - 0.08 * np.sin(t / 6.4 + 1)
     turns = np.stack([yaw, 0.02 * np.sin(2 * t), 0.03 * np.cos(1.7 * t)], axis=1)

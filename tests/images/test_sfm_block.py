@@ -4,12 +4,15 @@ import json
 import runpy
 import shutil
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pandas as pd
+import pycolmap
 import pytest
 from PIL import Image, ImageFilter
 
+from tests.benchmarks.voyage_scene import voyage
 from tests.images.sfm_scene import FISHEYE, PERSPECTIVE, Photographs, photographs, similarity
 from thalweg.core import Camera, InputError, LocalFrame, Trajectory
 from thalweg.images.model import ImageBlock
@@ -172,6 +175,48 @@ def test_a_block_that_splits_is_said_and_kept(tmp_path):
     assert any(note.startswith(said) for note in facts["notes"])
     assert facts["pieces"][1]["names"] == [f"image_0{k}.png" for k in range(6, 10)]
     json.dumps(facts)
+
+
+def test_a_large_block_in_overlapping_parts_is_that_of_all_images(monkeypatch):
+    """Also where each part has estimated its lens from a guess that is 3 % wrong."""
+    voyage_of = voyage(40, density=40)
+    guess = np.multiply(voyage_of.starts[0].camera.parameters, [1.03, 1.03, *[1.0] * 7])
+    camera = replace(voyage_of.starts[0].camera, parameters=guess)
+    guessed = replace(voyage_of, starts=(replace(voyage_of.starts[0], source="guess", camera=camera),))
+    for matches, f_within_px in ((voyage_of, 0.0), (guessed, 0.5)):
+        whole = map_images(matches)
+        with monkeypatch.context() as patched:
+            patched.setattr("thalweg.images.sfm.mapping._TOGETHER", 20)
+            patched.setattr("thalweg.images.sfm.mapping._SHARED", 8)
+            parts = map_images(matches)
+        assert parts.facts["notes"] == ["40 images were mapped in overlapping parts of at most 20"]
+        (one,), (joined,) = whole.pieces, parts.pieces
+        assert joined.images == one.images
+        assert abs(joined.cameras[0].parameters[0] - one.cameras[0].parameters[0]) <= f_within_px
+        scale, R, shift = similarity(joined.centre_block_m, one.centre_block_m)
+        moved = joined.transformed(R, shift, scale)
+        bank_m = np.ptp(one.centre_block_m, axis=0).max()  # 39 m, so that the limit is 2 mm
+        assert np.linalg.norm(moved.centre_block_m - one.centre_block_m, axis=1).max() < 5e-5 * bank_m
+
+
+def test_parts_that_are_not_joined_are_mapped_in_one(matches, monkeypatch):
+    monkeypatch.setattr("thalweg.images.sfm.mapping._TOGETHER", 5)
+    whole = pycolmap.incremental_mapping
+
+    def two_models(*arguments: Any) -> dict[int, Any]:
+        (model,) = whole(*arguments[:3], arguments[3].incremental_options).values()
+        *first, last = model.reg_frame_ids()
+        parts = [pycolmap.Reconstruction(model) for _ in range(2)]
+        parts[0].deregister_frame(first[0])
+        parts[1].deregister_frame(last)
+        return dict(enumerate(parts))
+
+    monkeypatch.setattr(pycolmap, "hierarchical_mapping", two_models)
+    mapped = map_images(matches, settings=FIXED)
+    n = len(matches.order)
+    assert mapped.facts["notes"] == [f"{n} images were mapped in one: parts of them could not be joined"]
+    monkeypatch.undo()
+    assert equal(mapped.pieces[0], map_images(matches, settings=FIXED).pieces[0])
 
 
 def test_a_part_of_a_block_has_the_same_marks_at_the_same_residuals(matches):

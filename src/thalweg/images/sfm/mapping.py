@@ -67,6 +67,10 @@ _STILL: Final = 1e-3
 """Share of the longer side by which points move at most in pictures of a camera that stood still."""
 _WIDEST: Final = 1.0 / 3.0
 """Focal length over the longer side: a perspective lens of 112 degrees; wider ones are fisheyes."""
+_TOGETHER: Final = 250
+"""Images that are mapped in one; of more the mapper's time grows faster than their number."""
+_SHARED: Final = 30
+"""Images that a part of a larger block shares with the next one."""
 
 
 def map_images(
@@ -104,7 +108,8 @@ def map_images(
             notes.append(f"structure from motion on a graphics card (images.device: {device})")
         used = 1 if use.repeatable else max(1, threads)
         put_together = _global if use.method == "global" else _incremental
-        models = put_together(folder, matches, use, used, on_gpu)
+        models = _in_parts(folder, matches, use, used, on_gpu, notes)
+        models = models or put_together(folder, matches, use, used, on_gpu)
         models = [_refined(model, matches, use, notes, on_gpu) for model in models]
         found = [piece for model in models for piece in _pieces(model, matches, use, notes)]
     good = []
@@ -185,14 +190,8 @@ def _refined(model: Any, matches: Matches, use: MappingSettings, notes: list[str
     if use.interior != "estimated" or not any(given) or n < _LEAST_FOR_FOCAL:
         return model
     pc = colmap()
-    o = pc.BundleAdjustmentOptions()
-    o.print_summary = False
-    o.refine_focal_length, o.refine_extra_params = True, n >= _LEAST_FOR_SHAPE
-    o.refine_principal_point = False
-    o.ceres.use_gpu = on_gpu
-    o.ceres.solver_options.num_threads = 1
     freed = pc.Reconstruction(model)
-    pc.bundle_adjustment(freed, o)
+    pc.bundle_adjustment(freed, _adjustment(pc, True, n >= _LEAST_FOR_SHAPE, on_gpu))
     for key in {int(freed.image(k).camera_id) for k in freed.reg_image_ids()}:
         camera, _ = from_colmap(freed.camera(key), matches.starts[key - 1].camera.name)
         if words := impossible_lens(camera):
@@ -207,6 +206,16 @@ def _refined(model: Any, matches: Matches, use: MappingSettings, notes: list[str
                 f"{abs(off) / sigma:.1f} of its standard deviations: another zoom or focus?"
             )
     return freed
+
+
+def _adjustment(pc: Any, focal: bool, shape: bool, on_gpu: bool, threads: int = 1) -> Any:
+    """Options of an adjustment by COLMAP with focal lengths, and distortion, free or not."""
+    o = pc.BundleAdjustmentOptions()
+    o.print_summary = False
+    o.refine_focal_length, o.refine_extra_params, o.refine_principal_point = focal, shape, False
+    o.ceres.use_gpu = on_gpu
+    o.ceres.solver_options.num_threads = threads
+    return o
 
 
 def impossible_lens(camera: Camera) -> str:
@@ -239,6 +248,46 @@ def _incremental(
     (folder / "models").mkdir()
     made = pc.incremental_mapping(folder / "block.db", folder, folder / "models", o)
     return [made[key] for key in sorted(made)]
+
+
+def _in_parts(
+    folder: Path, matches: Matches, use: MappingSettings, threads: int, on_gpu: bool, notes: list[str]
+) -> list[Any]:
+    """Overlapping parts of a large block, mapped by themselves, joined by their common images and adjusted.
+
+    No model if the block is not large, or if parts with common images could not be joined.
+    """
+    n = len(matches.order)
+    if use.method != "incremental" or n <= _TOGETHER:
+        return []
+    pc = colmap()
+    o = pc.HierarchicalPipelineOptions()
+    o.incremental_options = _options(pc, matches, use, threads, on_gpu)
+    o.num_threads = o.num_workers = threads
+    o.clustering_options.leaf_max_num_images, o.clustering_options.image_overlap = _TOGETHER, _SHARED
+    (folder / "parts").mkdir()
+    made = pc.hierarchical_mapping(folder / "block.db", folder, folder / "parts", o)
+    models: list[Any] = []
+    for model in sorted(made.values(), key=lambda model: -model.num_reg_images()):
+        images = set(model.reg_image_ids())
+        shared = max((len(images & set(larger.reg_image_ids())) for larger in models), default=0)
+        if shared < min(len(images), _SMALLEST_PIECE):
+            models.append(model)
+        elif shared < len(images):
+            notes.append(f"{n} images were mapped in one: parts of them could not be joined")
+            return []
+    estimated = _estimates_guesses(matches, use)
+    for model in models:  # joints have residuals, and each part has estimated lenses of its own
+        taken = pc.BundleAdjustmentConfig()
+        for image in model.reg_image_ids():
+            taken.add_image(image)
+        for camera in held_cameras(matches, use):
+            taken.set_constant_cam_intrinsics(camera)
+        taken.fix_gauge(pc.BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
+        adjustment = _adjustment(pc, estimated, estimated, on_gpu, threads)
+        pc.create_default_bundle_adjuster(adjustment, taken, model).solve()
+    notes.append(f"{n} images were mapped in overlapping parts of at most {_TOGETHER}")
+    return models
 
 
 def _options(pc: Any, matches: Matches, use: MappingSettings, threads: int, on_gpu: bool) -> Any:
