@@ -147,8 +147,9 @@ class CampaignFiles:
         return found
 
     def mapper_threads(self) -> int:
-        """Of structure from motion: one, unless its block need not be repeatable."""
-        return 1 if self.section("images", "mapping", "repeatable") else 2
+        """Of structure from motion: one for each part of the pairs, as who has parts has a large block."""
+        mapping = self.campaign.images.mapping
+        return max(min(mapping.parts, 8), 1 if mapping.repeatable else 2)
 
     def identity(self, *keys: str) -> dict[str, Any]:
         """Only those keys of the section `campaign`, so that a new title reruns pictures alone."""
