@@ -237,14 +237,17 @@ def quoted(text: str, jinja: Environment, root: Path = ROOT) -> list[str]:
 
 
 def measured(names: Iterable[str], runs: Mapping[str, Any]) -> str:
-    """Of which code records are: ``version 1.0.0, b92e6dd (2026-11-25: `change_study`)``, and so on."""
+    """Of which code records are: ``version 1.0.0 (`bed_study`, `full`)``; those of 0.1.0 by commit, date."""
     of: dict[str, list[str]] = {}
     for name in names:
         run = runs[name]
-        if not isinstance(run["commit"], Pending):
-            commits = "/".join(dict.fromkeys(each[:7] for each in run["commit"].split(", ")))
-            of.setdefault(f"version {run['version']}, {commits} ({run['date']}", []).append(f"`{name}`")
-    return "; ".join(f"{code}: {', '.join(records)})" for code, records in sorted(of.items()))
+        if isinstance(run["commit"], Pending):
+            continue
+        commits = "/".join(dict.fromkeys(each[:7] for each in run["commit"].split(", ")))
+        older = f"{commits}, {run['date']}"
+        code = older if isinstance(run["version"], Pending) else f"version {run['version']}"
+        of.setdefault(code, []).append(f"`{name}`")
+    return ", ".join(f"{code} ({', '.join(records)})" for code, records in sorted(of.items()))
 
 
 def recorded(text: str) -> str:
