@@ -115,7 +115,7 @@ def take_picture(source: Path, target: Path) -> None:
 
 
 def read(source: Path, wanted: Mapping[str, Any]) -> pd.DataFrame:
-    """A table of results: rows and columns that are asked for; of JSON a list (`rows`) or picked values.
+    """A table of results: rows and columns that are asked for, or the picked values of a JSON file.
 
     Raises
     ------
@@ -123,8 +123,6 @@ def read(source: Path, wanted: Mapping[str, Any]) -> pd.DataFrame:
     """
     if source.suffix == ".json":
         content = json.loads(source.read_text(encoding="utf-8"))
-        if "rows" in wanted:
-            return pd.DataFrame(_picked(content, wanted["rows"], source))
         return pd.DataFrame([(key, _picked(content, path, source)) for key, path in wanted["pick"].items()],
                             columns=["key", "value"])  # fmt: skip
     found = pd.read_csv(source, keep_default_na=False, na_values=["", "nan", "NaN"])

@@ -419,16 +419,6 @@ def test_a_result_of_other_sizes_is_not_recorded(repository, small):
         of["record"]("wave_study", of["studies"](small)["wave_study"], small, small / "docs/validation")
 
 
-def test_a_record_takes_a_list_of_a_json_file_or_single_values(repository, tmp_path):
-    read, path = validation(repository)["read"], tmp_path / "of.json"
-    path.write_text(json.dumps({"of": {"depths": [{"mm": 50, "sigma": 0.1}, {"mm": 60, "sigma": 0.2}]}}))
-    assert read(path, {"rows": "of.depths"}).to_dict("list") == {"mm": [50, 60], "sigma": [0.1, 0.2]}
-    picked = read(path, {"pick": {"second": "of.depths.1.sigma"}})
-    assert picked.to_numpy().tolist() == [["second", 0.2]]
-    with pytest.raises(InputError, match="heights"):
-        read(path, {"rows": "of.heights"})
-
-
 def test_a_row_of_timings_replaces_that_of_its_campaign(repository, tmp_path):
     of = runpy.run_path(str(repository / "docs/make_timings.py"))
     for name in ("tiny", "demo", "tiny"):

@@ -121,7 +121,7 @@ def _off(kept: pd.DataFrame, found: pd.DataFrame) -> pd.Series:
     size = kept["mean"].abs()
     scale = kept["sd"].where(kept["sd"] > 0, size)
     far = np.maximum((found["mean"] - kept["mean"]).abs(), (found["sd"] - kept["sd"]).abs())
-    beyond = (far - ROUNDING * size).clip(lower=0.0)
+    beyond = (far - ROUNDING * size.clip(lower=SHARE)).clip(lower=0.0)  # of a value near zero, too
     of_count = (found["n"] - kept["n"]).abs() / kept["n"].clip(lower=1)
     return np.maximum((beyond / scale).where(beyond > 0, 0.0), of_count)
 

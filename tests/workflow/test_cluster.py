@@ -122,7 +122,7 @@ def test_a_slurm_that_refuses_is_quoted_with_a_cure(command, said, cure):
         ('cat "{probe}"; date +%s.%N; echo {code}', "sees the folder, its clock is 0.0 s apart", 0),
         ("echo unseen; date +%s.%N; echo {code}", "expected a file system that all nodes share", 2),
         ('cat "{probe}"; echo 1000.0; echo {code}', "its clock is .* apart; expected 2 s at most", 2),
-        ('cat "{probe}"; date +%s.%N; echo 0.0.9 abc', r"has thalweg 0\.0\.9 abc, this computer 0\.1", 2),
+        ('cat "{probe}"; date +%s.%N; echo 0.0.9 abc', r"has thalweg 0\.0\.9 abc, this computer \d", 2),
         ('cat "{probe}"; date +%s.%N; echo no-python', "Make the environment on a disk that all nodes", 2),
     ],
     ids=["well", "no shared folder", "clocks apart", "mixed versions", "no environment"],
