@@ -70,6 +70,8 @@ LOOSE: Final = (10.0, 0.1)
 """In files that depend on the processor: times what its change moved, and at least this share."""
 ROUNDING: Final = 1e-9
 """And share of its size: times since 1980, map coordinates."""
+CANCELLED: Final = 1e-12
+"""And this much, whatever the size: 0 by one processor is 2e-13 mm by another (camera of `basin_tiny`)."""
 PICTURES: Final = {".png", ".bag"}
 
 
@@ -121,7 +123,7 @@ def _off(kept: pd.DataFrame, found: pd.DataFrame) -> pd.Series:
     size = kept["mean"].abs()
     scale = kept["sd"].where(kept["sd"] > 0, size)
     far = np.maximum((found["mean"] - kept["mean"]).abs(), (found["sd"] - kept["sd"]).abs())
-    beyond = (far - ROUNDING * size.clip(lower=SHARE)).clip(lower=0.0)  # of a value near zero, too
+    beyond = (far - np.maximum(ROUNDING * size, CANCELLED)).clip(lower=0.0)
     of_count = (found["n"] - kept["n"]).abs() / kept["n"].clip(lower=1)
     return np.maximum((beyond / scale).where(beyond > 0, 0.0), of_count)
 
