@@ -9,6 +9,7 @@ jobs wrote beside their results (``<output>.meta.json``): nothing is typed.
 
 import argparse
 import atexit
+import datetime
 import json
 import shutil
 import subprocess
@@ -28,6 +29,7 @@ sys.path.insert(0, str(ROOT / "src"))
 
 from thalweg.core import InputError  # noqa: E402
 from thalweg.workflow import code_version  # noqa: E402
+from thalweg_lab.studies import batches  # noqa: E402
 
 NOT_SIZES = {"code", "campaign"}
 """Parameters of rules that say nothing of a study's size."""
@@ -239,6 +241,31 @@ def changed_rules(name: str, entry: Mapping[str, Any], root: Path = ROOT) -> lis
             return False
 
     return [rule for rule in older if not same(rule)]
+
+
+def first_jobs(entry: Mapping[str, Any]) -> list[str]:
+    """The first job of each kind of survey of a study; none of a campaign."""
+    if "study" not in entry:
+        return []
+    jobs = batches(entry)
+    return list({batch.kind: name for name, batch in reversed(jobs.items())}.values())
+
+
+def commit_here(root: Path = ROOT) -> str:
+    """Commit of the checkout, seven digits."""
+    command = ["git", "-C", str(root), "rev-parse", "--short=7", "HEAD"]
+    return subprocess.run(command, capture_output=True, text=True, check=False).stdout.strip()
+
+
+def confirm(name: str, entry: Mapping[str, Any], root: Path = ROOT) -> None:
+    """Write into the page of a study that the code which is here finds the same in its first survey."""
+    path = root / f"docs/validation/{name}.md"
+    _, head, text = path.read_text(encoding="utf-8").split("---\n", 2)
+    known = yaml.safe_load(head)
+    known["code"] = {rule: now(rule, name, entry, root) for rule in known["code"]}
+    known["first_survey_as_before"] = f"{datetime.datetime.now(datetime.UTC):%Y-%m-%d}, {commit_here(root)}"
+    head = yaml.safe_dump(known, sort_keys=False, allow_unicode=True)
+    path.write_text(f"---\n{head}---\n{text}", encoding="utf-8")
 
 
 def state(root: Path = ROOT) -> list[str]:

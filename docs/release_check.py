@@ -5,7 +5,9 @@
 .venv/bin/python docs/release_check.py --profile profiles/slurm  # further words are Snakemake's
 
 Short records come first, the ledger, which reads the others, last. A record whose code has not changed since
-is left as it is, with its line of the table. One that fails is told, and the next one begins. The table
+is left as it is, with its line of the table. So is a study of older code whose first job (of each kind of
+survey) finds the numbers that it found before (docs/validation/first_surveys), and its page says so: most
+changes of code touch no number of a study. One that fails is told, and the next one begins. The table
 (docs/validation/release.md, written after each record) has a line for each: date, commit, minutes of the
 processor, verdicts (rows that reach their goal or lie inside their band), and how many printed numbers are
 others than before.
@@ -24,7 +26,9 @@ import pandas as pd
 
 ROOT = Path(__file__).parents[1]
 MADE: Final = "made again"
+SAME: Final = "first survey as before"
 validation = runpy.run_path(str(ROOT / "docs/make_validation.py"))
+numbers = runpy.run_path(str(ROOT / "tests/golden/kept_numbers.py"))
 
 OTHERS: Final = {
     "timings": ["docs/make_timings.py", "tiny"],
@@ -83,20 +87,48 @@ def tables(name: str, entry: Mapping[str, Any], root: Path = ROOT) -> dict[str, 
     return {path.stem: pd.read_csv(path) for path in paths if path.is_file()}
 
 
+def first_numbers(name: str, jobs: Sequence[str], root: Path = ROOT) -> pd.DataFrame:
+    """Count, mean and standard deviation of each column that some jobs of a study found."""
+    folder = root / f"results/reproduction/{name}"
+    files = [path.relative_to(folder).as_posix() for job in jobs for path in (folder / job).glob("*.parquet")]
+    return numbers["numbers_of"](folder, files)
+
+
 def check(name: str, entry: Mapping[str, Any], snakemake: Sequence[str], root: Path = ROOT) -> dict[str, Any]:
-    """Make one record again if its code has changed: its line of the table."""
-    page = root / f"docs/validation/{name}.md"
-    before, state = tables(name, entry, root), MADE
+    """Make one record again if its code has changed, and its first survey with it: its line of the table."""
+    page, kept = (root / f"docs/validation/{each}" for each in (f"{name}.md", f"first_surveys/{name}.csv"))
+    before, state, first = tables(name, entry, root), MADE, validation["first_jobs"](entry)
+
+    def run(targets: Sequence[str]) -> int:
+        command = [sys.executable, "-m", "snakemake", *targets, *snakemake]
+        return subprocess.run(command, cwd=root, check=False).returncode
+
+    def first_survey_as_before() -> bool:
+        if run([f"results/reproduction/{name}/{job}" for job in first]):
+            return False
+        then = pd.read_csv(kept, index_col=["file", "value"], keep_default_na=False)
+        then["share"] = numbers["SHARE"]
+        moved = [*numbers["moved"](then, first_numbers(name, first, root))]
+        for line in moved:
+            print(f"{name}: {line}", flush=True)
+        return not moved
+
     if page.exists() and not validation["changed_rules"](name, entry, root):
         state = "as recorded"
+    elif page.exists() and kept.exists() and first_survey_as_before():
+        state = SAME
+        validation["confirm"](name, entry, root)
     else:
-        command = [sys.executable, "-m", "snakemake", *words(name, entry), *snakemake]
-        if code := subprocess.run(command, cwd=root, check=False).returncode:
+        if code := run(words(name, entry)):
             return {"record": name, "state": f"failed ({code})"}
         try:
             validation["record"](name, entry, root, root / "docs/validation")
         except (OSError, validation["InputError"]) as error:
             return {"record": name, "state": f"not recorded: {error}"}
+    absent = bool(first) and (state == MADE or not kept.exists())
+    if absent and not run([f"results/reproduction/{name}/{job}" for job in first]):
+        kept.parent.mkdir(exist_ok=True)
+        first_numbers(name, first, root).to_csv(kept, float_format="%.10g")
     head, after = validation["front_matter"](page), tables(name, entry, root)
     return {
         "record": name,
@@ -114,13 +146,13 @@ def other(name: str, last: Mapping[str, Any], root: Path = ROOT) -> dict[str, An
     same = ["git", "diff", "--quiet", str(last.get("commit", "")), "--", "src", "workflow"]
     if last.get("commit") and subprocess.run(same, cwd=root, check=False).returncode == 0:
         return {"record": name, "state": "as recorded"}
-    head = subprocess.run(["git", "rev-parse", "--short=7", "HEAD"], cwd=root, capture_output=True, text=True)
+    commit = validation["commit_here"](root)
     code = subprocess.run([sys.executable, *OTHERS[name]], cwd=root, check=False).returncode
     return {
         "record": name,
         "state": {0: MADE, 1: f"{MADE}, a goal is missed"}.get(code, f"failed ({code})"),
         "date": f"{datetime.datetime.now(datetime.UTC):%Y-%m-%d}",
-        "commit": head.stdout.strip(),
+        "commit": commit,
     }
 
 
@@ -155,7 +187,7 @@ def main() -> int:
         head = f"# Release check\n\nWritten by `make release-check`, {days[0]} to {days[-1]}.\n\n"
         path.with_suffix(".md").write_text(f"{head}{validation['markdown'](table)}\n", encoding="utf-8")
     print(path.with_suffix(".md").read_text(encoding="utf-8"))
-    return int(not table["state"].isin([MADE, "as recorded"]).all())
+    return int(not table["state"].isin([MADE, SAME, "as recorded"]).all())
 
 
 if __name__ == "__main__":

@@ -10,6 +10,7 @@ import subprocess
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pandas as pd
@@ -338,6 +339,45 @@ def test_the_table_of_a_release(repository):
     )  # a second run, after a stop, does not lose what the first one said
     assert of["kept"](again, {"state": "failed (1)"}) == of["kept"](again, {}) == again
     assert of["kept"](made, again) == made
+
+
+def test_a_study_of_other_code_is_made_again_where_its_first_survey_is(repository, small, monkeypatch):
+    of = runpy.run_path(str(repository / "docs/release_check.py"))
+    rules, heights_m, targets = ["wave_study"], [1.0, 2.0], []
+    validation = {**of["validation"], "changed_rules": lambda *_: rules}
+    (entry,) = validation["studies"](small).values()
+    entry |= {"study": "waves:STUDY", "jobs": {"seeds_a_job": 2}}
+    assert validation["first_jobs"](entry) == ["survey_1_to_2"]
+    assert validation["first_jobs"]({"campaign": ["tiny"]}) == []
+
+    def run(command, **_):
+        targets.append(command[3])
+        rows = small / "results/reproduction/wave_study/survey_1_to_2/rows.parquet"
+        rows.parent.mkdir(parents=True, exist_ok=True)
+        pd.DataFrame({"height_m": heights_m}).to_parquet(rows)
+        return subprocess.CompletedProcess(command, 0)
+
+    inside = of["check"].__globals__
+    monkeypatch.setitem(inside, "validation", validation)
+    monkeypatch.setitem(inside, "subprocess", SimpleNamespace(run=run))
+
+    def state() -> str:
+        return str(of["check"]("wave_study", entry, [], small)["state"])
+
+    first, whole = "results/reproduction/wave_study/survey_1_to_2", "wave_study"
+    assert state() == "made again"  # nothing is recorded
+    rules.clear()
+    assert (state(), targets) == ("as recorded", [whole, first])
+    rules.append("wave_study")
+    monkeypatch.setitem(validation["confirm"].__globals__, "now", lambda *_: "456")
+    assert (state(), targets[2:]) == ("first survey as before", [first])
+    head = validation["front_matter"](small / "docs/validation/wave_study.md")
+    assert head["code"] == {"wave_study": "456"}
+    assert head["date"] == "2026-05-01"  # of the numbers
+    assert head["first_survey_as_before"][:2] == "20"
+    heights_m[1] = 2.01
+    assert (state(), targets[3:]) == ("made again", [first, whole, first])
+    assert "first_survey_as_before" not in validation["front_matter"](small / "docs/validation/wave_study.md")
 
 
 @pytest.fixture
