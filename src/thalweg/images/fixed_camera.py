@@ -106,6 +106,12 @@ def resect_pictures(
         )
     else:
         start = read_camera(camera)
+        shown = next((px for name in order if (px := size_of(marks[0].parent / name))), start.size_px)
+        if shown != start.size_px:
+            notes.append(
+                f"Pictures beside the marks have {shown[0]} x {shown[1]} pixels, the lens is of "
+                f"{start.size_px[0]} x {start.size_px[1]}: marks count as measured in pictures of that size"
+            )
     poses, residuals, lens, told = resect_series(
         start,
         table,

@@ -307,6 +307,16 @@ def read_metashape(path: Path, crs: str | None) -> Finished:
         notes.append(
             f"{turned} images are turned by their EXIF orientation; poses refer to the stored pixels"
         )
+    shutters = {
+        (e.get("value") or e.text or "").strip().lower()
+        for e in chunk.iter()
+        if "rolling_shutter" in (e.tag, e.get("name"))
+    }
+    if shutters - {"", "false", "0", "disabled"}:
+        notes.append(
+            "The poses are those of a rolling shutter, which moves while it exposes row after row: here they "
+            "count for all rows of a picture"
+        )
     T = np.array(matrices)
     R_chunk = orthogonal(T[:, :3, :3], str(path), tuple(names))
     scale, R0, shift = (np.array(values) for values in zip(*of, strict=True))
@@ -370,6 +380,15 @@ def _transform(element: ElementTree.Element | None, path: Path) -> _Chunk | None
 def _place_of_chunk(chunk: ElementTree.Element, path: Path, crs: str | None, notes: list[str]) -> Place:
     """Geocentric for a CRS on the earth, else what the campaign says, else a frame of its own."""
     stated = (chunk.findtext("reference") or "").strip()
+    if stated.startswith("LOCAL_CS"):
+        own = crs_of(stated, path)
+        if own.axis_info and own.axis_info[0].unit_conversion_factor != 1.0:
+            raise InputError(
+                f"coordinates in '{own.name}'",
+                expected="metres",
+                where=path,
+                cure="Export the cameras in local coordinates in metres",
+            )
     if not stated or stated.startswith("LOCAL_CS"):
         return Place(kind="free") if crs is None else place_of(crs, path)
     known = crs_of(stated, path)
