@@ -135,6 +135,14 @@ def test_wrong_colmap_files(tmp_path, text, answer):
         ("D: [0, 0, 0, 0, 0]\nwidth: 9\nheight: 9", "none of the keys K"),
         ("K: [a]\nD: [0, 0, 0, 0, 0]\nwidth: 9\nheight: 9", "no numbers"),
         ("- 1", "no keys"),
+        (
+            "K: [9, 0, 5, 0, 9, 5, 0, 0, 1]\nD: [0, 0, 0, 0]\ndist_coeffs: [1, 0, 0, 0]\nwidth: 9\nheight: 9",
+            "D and dist_coeffs, which differ",
+        ),
+        (
+            "K: [450, 0, 376, 0, 450, 240, 0, 0, 1]\nD: [0, 0, 0, 0, 0]\nwidth: 480\nheight: 752",
+            r"principal point 376.5, 240.5 of 480 x 752 .* middle of 752 x 480",
+        ),
         *(
             (f"K: [9, 0, 5, 0, 9, 5, 0, 0, 1]\nD: [0.1, 0, 0, 0, 0]\nwidth: 9\nheight: 9\n{words}", answer)
             for words, answer in (

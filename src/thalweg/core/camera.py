@@ -98,6 +98,8 @@ _OTHER_LENSES: Final = {
 """Words of `_MODEL` for lenses that are neither."""
 _METASHAPE: Final = ("f", "cx", "cy", "b1", "k1", "k2", "k3", "k4", "p1", "p2")
 _OPENCV_ORDER: Final = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+_TURNED: Final = 0.05
+"""Of a picture, that a principal point lies from the middle where width and height may be exchanged."""
 _OFF_CENTRE: Final = 0.35
 """Of a picture, that a principal point lies from its middle at most."""
 _HALF: Final = 0.5
@@ -587,6 +589,13 @@ def check_lens(camera: Camera, where: str | Path) -> None:
     fx, fy, cx, cy = camera.parameters[:4].tolist()
     w, h = camera.size_px
     off = max(abs(cx / w - 0.5), abs(cy / h - 0.5))
+    if off > 3.0 * _TURNED and max(abs(cx / h - 0.5), abs(cy / w - 0.5)) < _TURNED:
+        raise InputError(
+            f"the principal point {cx:g}, {cy:g} of {w} x {h} pixels",
+            expected=f"one near the middle: this is the middle of {h} x {w}",
+            where=where,
+            cure="Look whether width and height are exchanged, or the picture was turned",
+        )
     if min(fx, fy) < 0.1 * max(w, h) or max(fx, fy) > 100.0 * max(w, h) or off > _OFF_CENTRE:
         raise InputError(
             f"focal lengths {fx:g}, {fy:g} and principal point {cx:g}, {cy:g} of {w} x {h} pixels",
@@ -597,12 +606,17 @@ def check_lens(camera: Camera, where: str | Path) -> None:
 
 
 def _numbers(data: Mapping[str, Any], keys: Sequence[str], path: Path) -> ArrayF:
-    key = next((key for key in keys if key in data), None)
-    if key is None:
+    named = [key for key in keys if key in data]
+    if not named:
         raise InputError(
             f"none of the keys {', '.join(keys)}", expected="a camera of OpenCV or ROS", where=path
         )
+    key = named[0]
     value = data[key]
+    if other := next((name for name in named if data[name] != value), None):
+        raise InputError(
+            f"{key} and {other}, which differ", expected="one of them", where=path, cure="Leave the other out"
+        )
     if isinstance(value, dict):
         value = value.get("data")
     try:
