@@ -11,6 +11,7 @@ from pyproj import CRS
 
 from thalweg.core import GeometryError, InputError, LocalFrame
 from thalweg.images import matched_marks, read_all_control_points, read_control_points, read_marks
+from thalweg.images.control import map_grid
 from thalweg.images.model import ControlMarks, ControlPoints
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=150.0)
@@ -262,6 +263,14 @@ def test_heights_in_the_feet_that_their_system_states(tmp_path, caplog):
         up = LOCAL[:, 2] * (1.0 if "+" in crs else 3937 / 1200)
         np.testing.assert_allclose(found.points_wcs_m, np.c_[LOCAL[:, :2], up], atol=1e-3)
     assert "no unit of heights: metres although east and north are not" in caplog.text
+
+
+@pytest.mark.parametrize("crs", ["EPSG:2226", "EPSG:4326"])
+def test_results_are_wanted_in_a_grid_in_metres(tmp_path, crs):
+    path = write(tmp_path, "p.csv", "id,x,y,z\nA,1,2,3\n")
+    with pytest.raises(InputError, match=r"expected a projected one in metres, or local"):
+        map_grid(crs, path)
+    assert map_grid("EPSG:25833", path).to_epsg() == 25833
 
 
 def test_hemispheres_in_columns_of_their_own(tmp_path):

@@ -831,6 +831,24 @@ def crs_of(text: str | None, path: Path) -> CRS:
         ) from error
 
 
+def map_grid(text: str, path: Path) -> CRS:
+    """The grid in which results are wanted: their columns are metres.
+
+    Raises
+    ------
+    InputError : an unknown CRS, or none of a map in metres.
+    """
+    crs = crs_of(text, path)
+    if not crs.is_projected or any(abs(axis.unit_conversion_factor - 1) > 1e-9 for axis in crs.axis_info):
+        raise InputError(
+            f"the CRS '{crs.name}'",
+            expected=f"a projected one in metres, or {LOCAL}",
+            cure="Give the map grid in which results are wanted, such as EPSG:25833; a table of points may "
+            "state another one above its rows (# CRS: EPSG:2226)",
+        )
+    return crs
+
+
 # ---------------------------------------------------------------- control points and marks as other programs
 # write them: OpenDroneMap and Metashape
 #
