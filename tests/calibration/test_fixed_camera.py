@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
+from PIL import Image
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
@@ -14,9 +15,9 @@ from thalweg.calibration import read_camera, resect_series, starting_lens
 from thalweg.calibration.camera_files import free_of_lens
 from thalweg.calibration.fixed_camera import _columns
 from thalweg.cli import main
-from thalweg.core import Camera, GeometryError, InputError
+from thalweg.core import Camera, GeometryError, InputError, write_opencv
 from thalweg.images import read_all_marks
-from thalweg.images.fixed_camera import history_facts, resect_files
+from thalweg.images.fixed_camera import history_facts, resect_files, resect_pictures
 from thalweg.settings.sections import ControlSettings, FixedCamera
 
 CAMERA = Camera(
@@ -114,6 +115,30 @@ def test_bad_tables_are_refused(tmp_path):
     marks = pd.DataFrame({"image": ["a"], "point": ["B"], "x_px": [1.0], "y_px": [1.0]})
     with pytest.raises(InputError, match=r"none of the image points \(B\) is a control point"):
         resect_series(CAMERA, marks, points)
+
+
+@pytest.mark.parametrize("xy", [(-1.0, 2.0), (10.0, 3000.5)])
+def test_marks_outside_of_the_picture_of_the_lens_are_refused(xy):
+    """Such are marks from the middle of the picture, in a turned one, or in one of another size."""
+    points = pd.DataFrame({"point": ["A"], "x": [0.0], "y": [0.0], "z": [0.0]})
+    marks = pd.DataFrame({"image": ["a"], "point": ["A"], "x_px": [xy[0]], "y_px": [xy[1]]})
+    with pytest.raises(InputError, match=r"the mark of A at .* in a; expected pixels inside of 4000 x 3000"):
+        resect_series(CAMERA, marks, points)
+
+
+def test_pictures_of_another_size_than_the_lens_are_told(tmp_path):
+    R = Rotation.from_euler("x", -100, degrees=True).as_matrix()
+    rng = np.random.default_rng(2)
+    X = np.column_stack([rng.uniform(-25, 25, 9), rng.uniform(60, 120, 9), rng.uniform(-25, 5, 9)])
+    rows = [f"a.png,P{k},{x:.2f},{y:.2f}" for k, (x, y) in enumerate(CAMERA.project(X @ R))]
+    (tmp_path / "m.csv").write_text("\n".join(["image,point,x_px,y_px", *rows]) + "\n")
+    rows = [f"P{k},{x:.4f},{y:.4f},{z:.4f}" for k, (x, y, z) in enumerate(X)]
+    (tmp_path / "p.csv").write_text("\n".join(["id,x,y,z", *rows]) + "\n")
+    write_opencv(tmp_path / "lens.yaml", CAMERA)
+    for size, told in (((2000, 1500), True), ((4000, 3000), False)):
+        Image.new("L", size).save(tmp_path / "a.png")
+        *_, facts, _ = resect_pictures([tmp_path / "m.csv"], [tmp_path / "p.csv"], tmp_path / "lens.yaml")
+        assert any(f"have {size[0]} x {size[1]} pixels" in note for note in facts["notes"]) == told
 
 
 def test_tables_for_each_picture_are_called_like_it(tmp_path):

@@ -164,6 +164,17 @@ def test_what_kalibr_files_must_not_hold(chain, old, new, error, message):
         read_kalibr(chain)
 
 
+def test_cameras_of_a_chain_go_by_their_numbers_and_may_have_opencvs_head(chain):
+    head, second = chain.read_text().split("cam1:")
+    before = read_kalibr(chain)
+    chain.write_text(f"%YAML:1.0 # of OpenVINS\n---\ncam1:{second}{head}")
+    after = read_kalibr(chain)
+    assert [found.name for found in after] == ["cam0", "cam1"]
+    assert [found.camera.model for found in after] == [found.camera.model for found in before]
+    chain.write_text(f"cam1:{second}")
+    assert [block.name for block in import_kalibr(chain, SIGMAS).blocks] == ["camera_interior"]
+
+
 def write_matrix(path, T, digits=8):
     path.write_text("\n".join(" ".join(f"{x:.{digits}f}" for x in row) for row in T) + "\n")
     return path

@@ -135,6 +135,27 @@ def test_wrong_colmap_files(tmp_path, text, answer):
         ("D: [0, 0, 0, 0, 0]\nwidth: 9\nheight: 9", "none of the keys K"),
         ("K: [a]\nD: [0, 0, 0, 0, 0]\nwidth: 9\nheight: 9", "no numbers"),
         ("- 1", "no keys"),
+        (
+            "K: [9, 0, 5, 0, 9, 5, 0, 0, 1]\nD: [0, 0, 0, 0]\ndist_coeffs: [1, 0, 0, 0]\nwidth: 9\nheight: 9",
+            "D and dist_coeffs, which differ",
+        ),
+        (
+            "K: [450, 0, 376, 0, 450, 240, 0, 0, 1]\nD: [0, 0, 0, 0, 0]\nwidth: 480\nheight: 752",
+            r"principal point 376.5, 240.5 of 480 x 752 .* middle of 752 x 480",
+        ),
+        *(
+            (f"K: [9, 0, 5, 0, 9, 5, 0, 0, 1]\nD: [0.1, 0, 0, 0, 0]\nwidth: 9\nheight: 9\n{words}", answer)
+            for words, answer in (
+                (
+                    "distortion_model: Inverse Brown Conrady",
+                    "distortion_model: Inverse Brown Conrady; expected",
+                ),
+                ("distortion_model: none", "distortion_model: none"),
+                ("camera_model: omni", "camera_model: omni"),
+                ("model_type: MEI", "model_type: MEI"),
+                ("roi: {x_offset: 4, y_offset: 0, width: 5, height: 9}", "a part of 9 x 9 pixels"),
+            )
+        ),
     ],
 )
 def test_wrong_opencv_files(tmp_path, text, answer):
@@ -157,6 +178,8 @@ def test_a_missing_file_is_told(tmp_path):
         ("distortion_model: pinhole", "perspective"),
         ("model: pinhole\nfisheye: true", "fisheye"),
         ("camera_model: pinhole\ndistortion_model: equidistant", "fisheye"),
+        ("distortion_model: Brown-Conrady", "perspective"),
+        ("camera_model: Canon EOS\nfisheye: false\ndistortion_model: none", "perspective"),
     ],
 )
 def test_words_for_a_lens(tmp_path, words, model):
@@ -232,6 +255,8 @@ def test_a_lens_of_metashape(tmp_path, kind, more, model, parameters):
         ("fisheye", "<p1>0.4</p1>", "fisheye model has not: {'p1': 0.4}"),
         ("fisheye", "<p2>0.4</p2>", "{'p2': 0.4}"),
         ("frame", "<b1>wide</b1>", "no lens"),
+        ("equisolid_fisheye", "", "the projection equisolid_fisheye; expected frame or equidistant_fisheye"),
+        ("cylindrical", "", "the projection cylindrical"),
     ],
 )
 def test_terms_of_metashape_that_are_not_known_are_refused(tmp_path, kind, more, words):

@@ -11,6 +11,7 @@ from pyproj import CRS
 
 from thalweg.core import GeometryError, InputError, LocalFrame
 from thalweg.images import matched_marks, read_all_control_points, read_control_points, read_marks
+from thalweg.images.control import map_grid
 from thalweg.images.model import ControlMarks, ControlPoints
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=150.0)
@@ -175,6 +176,130 @@ def test_metashape_markers(tmp_path):
             match(path)
 
 
+def test_markers_without_an_accuracy_have_that_of_their_chunk(tmp_path, caplog):
+    settings = '<settings><property name="accuracy_markers" value="0.25"/></settings></chunk>'
+    text = METASHAPE.format(*FRAME.to_map(LOCAL[:2], CRS("EPSG:25833")).ravel())
+    text = text.replace('sxyz="0.008" ', "").replace("</chunk>", settings)
+    found = points(write(tmp_path, "markers.xml", text), crs=None)
+    np.testing.assert_allclose(np.sqrt(found.cov_wcs_m2[0].diagonal()), 0.25)
+    np.testing.assert_allclose(np.sqrt(found.cov_wcs_m2[1].diagonal()), [0.01, 0.02, 0.03])
+    assert "that of the chunk (accuracy_markers), 0.25 m" in caplog.text
+
+
+def test_markers_of_several_chunks_are_refused(tmp_path):
+    """Each chunk numbers its cameras and markers from 0."""
+    head, body = METASHAPE.format(*LOCAL[:2].ravel()).split('<document version="1.5.0">')
+    twice = f"{head}<document>{body.replace('</document>', '')}{body}"
+    with pytest.raises(InputError, match=r"2 chunks with markers; expected one"):
+        read_marks(write(tmp_path, "markers.xml", twice))
+
+
+@pytest.mark.parametrize(
+    ("unit", "answer"), [("metre", None), ("foot", r"'Local Coordinates'; expected metres")]
+)
+def test_local_coordinates_of_metashape(tmp_path, unit, answer):
+    size = {"metre": "1", "foot": "0.3048"}[unit]
+    stated = f'LOCAL_CS["Local Coordinates",LOCAL_DATUM["Local Datum",0],UNIT["{unit}",{size}]]'
+    text = METASHAPE.format(*LOCAL[:2].ravel()).replace("EPSG:25833", stated)
+    path = write(tmp_path, "markers.xml", text)
+    if answer:
+        with pytest.raises(InputError, match=answer):
+            points(path, crs="local")
+    else:
+        np.testing.assert_allclose(points(path, crs="local").points_wcs_m, LOCAL[:2])
+
+
+@pytest.mark.parametrize(
+    ("names", "values", "sigma_m"),
+    [
+        ("sigma_e,sigma_n,sigma_h", "0.2,0.3,0.4", (0.2, 0.3, 0.4)),
+        ("sE,sN,sH", "0.2,0.3,0.4", (0.2, 0.3, 0.4)),
+        ("StdDev X (mm),StdDev Y (mm),StdDev Z (mm)", "5,6,8", (0.005, 0.006, 0.008)),
+        ("HRMS,VRMS", "0.2,0.4", (0.2, 0.2, 0.4)),
+        ("sigma_mm", "5", (0.005, 0.005, 0.005)),
+        ("sz,precision_horizontal", "0.4,0.2", (0.01, 0.01, 0.4)),
+    ],
+)
+def test_standard_deviations_by_their_usual_names(tmp_path, caplog, names, values, sigma_m):
+    path = write(tmp_path, "p.csv", f"id,east_m,north_m,up_m,{names}\nA,10,20,1.5,{values}\n")
+    np.testing.assert_allclose(np.sqrt(points(path).cov_wcs_m2[0].diagonal()), sigma_m)
+    assert ("not of the columns precision_horizontal" in caplog.text) == ("precision" in names)
+
+
+@pytest.mark.parametrize(
+    ("name", "cells"),
+    [
+        ("used", ("true", "false")),
+        ("Enable", "10"),
+        ("check", "01"),
+        ("control", "yn"),
+        ("is_check", ("", "x")),
+    ],
+)
+def test_columns_that_say_which_points_are_check_points(tmp_path, name, cells):
+    text = f"id,east_m,north_m,up_m,{name}\nA,10,20,1.5,{cells[0]}\nB,-35,40,3.25,{cells[1]}\n"
+    assert points(write(tmp_path, "p.csv", text)).check.tolist() == [False, True]
+
+
+@pytest.mark.parametrize(
+    ("remark", "more"), [("# CoordinateSystem: {}\n", ""), ("# CRS: EPSG:25832\n", ""), ("", "25832")]
+)
+def test_the_coordinate_system_that_a_table_states_counts(tmp_path, remark, more):
+    grid = FRAME.to_map(LOCAL, CRS("EPSG:25832"))
+    head = remark.format(CRS("EPSG:25832").to_wkt("WKT1_GDAL")) + f"id,x,y,z{',epsg' if more else ''}\n"
+    rows = [f"{n},{a:.4f},{b:.4f},{c:.4f},{more}" for n, (a, b, c) in zip("ABC", grid, strict=True)]
+    path = write(tmp_path, "p.csv", head + "\n".join(row.rstrip(",") for row in rows) + "\n")
+    np.testing.assert_allclose(points(path).points_wcs_m, LOCAL, atol=2e-4)
+    np.testing.assert_allclose(points(path, crs="local").points_wcs_m, grid, atol=1e-4)
+
+
+def test_heights_in_the_feet_that_their_system_states(tmp_path, caplog):
+    frame = LocalFrame(lat_deg=38.6, lon_deg=-121.5, h_ell_m=0.0)
+    flat = frame.to_map(LOCAL, CRS("EPSG:26942"))  # the same map in metres
+    rows = [f"{n},{a:.4f},{b:.4f},{c:.4f}" for n, (a, b, c) in zip("ABC", flat * 3937 / 1200, strict=True)]
+    path = write(tmp_path, "p.csv", "id,x,y,z\n" + "\n".join(rows) + "\n")
+    for crs in ("EPSG:2226+6360", "EPSG:2226"):
+        found = read_control_points(path, frame, crs=crs, sigma_m=SIGMA)
+        up = LOCAL[:, 2] * (1.0 if "+" in crs else 3937 / 1200)
+        np.testing.assert_allclose(found.points_wcs_m, np.c_[LOCAL[:, :2], up], atol=1e-3)
+    assert "no unit of heights: metres although east and north are not" in caplog.text
+
+
+@pytest.mark.parametrize("crs", ["EPSG:2226", "EPSG:4326"])
+def test_results_are_wanted_in_a_grid_in_metres(tmp_path, crs):
+    path = write(tmp_path, "p.csv", "id,x,y,z\nA,1,2,3\n")
+    with pytest.raises(InputError, match=r"expected a projected one in metres, or local"):
+        map_grid(crs, path)
+    assert map_grid("EPSG:25833", path).to_epsg() == 25833
+
+
+def test_hemispheres_in_columns_of_their_own(tmp_path):
+    frame = LocalFrame(lat_deg=-33.4, lon_deg=-70.6, h_ell_m=500.0)
+    lat, lon, h = frame.to_geodetic(LOCAL)
+    rows = [f"{n},{-a:.10f},S,{-b:.10f},W,{c:.4f}" for n, a, b, c in zip("ABC", lat, lon, h, strict=True)]
+    path = write(tmp_path, "p.csv", "id,lat,NS,lon,EW,h\n" + "\n".join(rows) + "\n")
+    found = read_control_points(path, frame, crs=None, sigma_m=SIGMA)
+    np.testing.assert_allclose(found.points_wcs_m, LOCAL, atol=2e-4)
+
+
+def test_heights_that_count_downwards_are_refused(tmp_path):
+    text = "id,x,y,Z (positive down)\nA,1,2,3\n"
+    with pytest.raises(
+        InputError, match=r"the column Z \(positive down\); expected heights, positive upwards"
+    ):
+        points(write(tmp_path, "p.csv", text))
+
+
+def test_names_stay_as_they_are_written(tmp_path):
+    """Also where they look like numbers with a unit or with groups of digits."""
+    text = "id;x;y;z\n001;377.349,68;5.656.861,86;151,5\n5cm;377.305,18;5.656.882,92;153,25\n"
+    assert points(write(tmp_path, "p.csv", text)).names == ("001", "5cm")
+    text = "image;point;x;y\n001;12M;1.512,50;2.201,25\n002;2,5;2.400,00;1.200,00\n"
+    found = read_marks(write(tmp_path, "m.csv", text))
+    assert (found.image, found.point) == (("001", "002"), ("12M", "2,5"))
+    np.testing.assert_allclose(found.xy_px, [[1512.5, 2201.25], [2400, 1200]])
+
+
 def test_opendronemap_counts_from_the_centre_of_the_first_pixel(tmp_path):
     grid = FRAME.to_map(LOCAL[:2], CRS("EPSG:32633"))
     a, b = ("\t".join(f"{v:.4f}" for v in row) for row in grid)
@@ -200,6 +325,10 @@ def test_marks_with_and_without_sigma(tmp_path):
     text += "IMG_2.JPG,A,7,8,,0.9,True,\nIMG_2.JPG,B,7,8,,0.5,False,ambiguous\n"
     marks, dropped = match(write(tmp_path, "marks.csv", text))
     assert marks.sigma_px.tolist() == [0.2, 0.5]
+    assert dropped == {"not to be used": 1}
+    text = "image,point,x,y,sigma,enabled\nIMG_1.JPG,A,5,6,0.2,y\nIMG_2.JPG,B,7,8,0.3,0\n"
+    marks, dropped = match(write(tmp_path, "m.csv", text))
+    assert marks.sigma_px.tolist() == [0.2]
     assert dropped == {"not to be used": 1}
 
 

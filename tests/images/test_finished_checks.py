@@ -30,7 +30,10 @@ from thalweg.core import GeometryError, InputError, exp_rotation
 from thalweg.images.imports import import_orientations
 from thalweg.images.model import align, mean_rotation, unknown_poses
 
-NO_NAMES = "eo.txt: The file names no columns: taken as image, x, y, z, omega, phi, kappa"
+NO_NAMES = (
+    "eo.txt: The file names no columns: taken as image, x, y, z, omega, phi, kappa, "
+    "and no unit of the angles: taken as degrees"
+)
 
 
 @pytest.fixture

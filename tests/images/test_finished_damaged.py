@@ -129,6 +129,7 @@ def test_damaged_xml(tmp_path, truth, old, new, words):
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
+        ("582 583 361 270", "50 50 18 12", "focal lengths 50, 50 and principal point"),
         (" 7 run/IMG_0003.JPG", "", "no pose"),
         (r"^4 \S+", "4 9.0", "length"),
         ("7 OPENCV 720", "7 OPENCV wide", "no camera"),

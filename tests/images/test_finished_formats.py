@@ -163,6 +163,55 @@ def test_units_by_the_header_and_by_the_setting(tmp_path, truth, unit):
     assert_poses(found.poses, truth)
 
 
+@pytest.mark.parametrize(
+    ("head", "remark", "unit"),
+    [
+        ("omega (radians),phi (radians),kappa (radians)", "", "rad"),
+        ("omega_radians,phi_radians,kappa_radians", "", "rad"),
+        ("omega [grads],phi [grads],kappa [grads]", "", "gon"),
+        ("omega,phi,kappa", "# rotation angles in gon\n", "gon"),
+    ],
+)
+def test_units_in_other_words(tmp_path, truth, head, remark, unit):
+    rows = angles_deg(truth.R) * {"gon": 10 / 9, "rad": np.pi / 180}[unit]
+    path = tmp_path / "eo.csv"
+    path.write_text(
+        angles_text(truth.images, truth.C, rows, f"{remark}image,east_m,north_m,up_m,{head}", ",")
+    )
+    found = import_orientations([path], predictions(truth), settings())
+    assert_poses(found.poses, truth)
+    assert not any("no unit of the angles" in note for note in found.facts["notes"])
+
+
+@pytest.mark.parametrize(
+    ("head", "factor", "answer"),
+    [
+        ("omega (mrad),phi (mrad),kappa (mrad)", 1.0, r"the column omega \(mrad\); expected degrees, gon"),
+        ("omega,phi,kappa,sigma_omega (arcsec),sigma_phi,sigma_kappa", 1.0, r"sigma_omega \(arcsec\)"),
+        ("omega_gon,phi_gon,kappa_gon,sigma_omega_deg,sigma_phi_deg,sigma_kappa_deg", 1.0, "in another unit"),
+        ("omega,phi,kappa", 4.0, r"angles up to \d+\.?\d* without a unit; expected degrees up to 360"),
+    ],
+)
+def test_units_that_are_not_known_are_refused(tmp_path, truth, head, factor, answer):
+    rows = np.column_stack([angles_deg(truth.R) * factor, np.full((12, head.count(",") - 2), 3.0)])
+    path = tmp_path / "eo.csv"
+    path.write_text(angles_text(truth.images, truth.C, rows, f"image,east_m,north_m,up_m,{head}", ","))
+    with pytest.raises(InputError, match=answer):
+        import_orientations([path], predictions(truth), settings())
+
+
+def test_angles_without_a_unit_and_images_that_are_switched_off_are_told(tmp_path, truth):
+    path = tmp_path / "eo.csv"
+    rows = np.column_stack([angles_deg(truth.R), [1] * 11 + [0]])
+    head = "image,east_m,north_m,up_m,omega,phi,kappa,Enable"
+    path.write_text(angles_text(truth.images, truth.C, rows, head, ",").replace(",1.0\n", ",1\n"))
+    path.write_text(path.read_text().replace(",0.0\n", ",0\n"))
+    found = import_orientations([path], predictions(truth), settings())
+    assert found.poses.reasons[11] == "switched off in the table"
+    assert found.poses.oriented.tolist() == [True] * 11 + [False]
+    assert any("states no unit of the angles: taken as degrees" in note for note in found.facts["notes"])
+
+
 @pytest.mark.parametrize("axes", sorted(AXES))
 @pytest.mark.parametrize("direction", ["image_to_world", "world_to_image"])
 def test_other_axes_and_directions(tmp_path, truth, axes, direction):

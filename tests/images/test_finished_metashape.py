@@ -18,7 +18,7 @@ from tests.images.finished_scene import (
     settings,
     write_metashape,
 )
-from thalweg.core import exp_rotation, from_metashape
+from thalweg.core import InputError, exp_rotation, from_metashape
 from thalweg.images.imports import import_orientations
 from thalweg.images.model import ImagePoses
 
@@ -84,6 +84,23 @@ def test_cameras_that_metashape_left_out(tmp_path, truth):
     assert np.isnan(found.poses.cov_pose_wcs[10:]).all()
     found.poses.write(tmp_path / "poses.parquet")
     assert ImagePoses.read(tmp_path / "poses.parquet").reasons == found.poses.reasons
+
+
+def test_local_coordinates_in_feet_are_refused(tmp_path, truth):
+    feet = LOCAL.replace('UNIT["metre",1', 'UNIT["foot",0.3048')
+    path = write_metashape(tmp_path / "c.xml", truth.images, truth.C, truth.R, reference=feet)
+    assert feet != LOCAL
+    with pytest.raises(InputError, match=r"coordinates in '.*'; expected metres"):
+        import_orientations([path], predictions(truth), settings(crs="world"))
+
+
+@pytest.mark.parametrize("value", ["true", "false"])
+def test_a_rolling_shutter_is_told(tmp_path, truth, value):
+    path = write_metashape(tmp_path / "c.xml", truth.images, truth.C, truth.R, reference=LOCAL)
+    shutter = f'<property name="rolling_shutter" value="{value}"/></sensor>'
+    path.write_text(path.read_text().replace("</sensor>", shutter))
+    notes = import_orientations([path], predictions(truth), settings(crs="world")).facts["notes"]
+    assert any("those of a rolling shutter" in note for note in notes) == (value == "true")
 
 
 METASHAPE = {"f": 582.0, "cx": 1.5, "cy": -2.0, "b1": 0.5, "b2": 0.0, "k1": -0.05, "k2": 0.012, "k3": 0.001,

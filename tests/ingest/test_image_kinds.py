@@ -55,6 +55,13 @@ def test_photographs_are_known_and_described(tmp_path, ending):
     assert "from name" in text
 
 
+def test_a_photograph_with_the_time_of_its_last_change_only(tmp_path):
+    exif = Image.Exif()
+    exif[0x0132] = "2021:05:20 12:00:00"
+    Image.new("RGB", (16, 12)).save(tmp_path / "a.jpg", exif=exif)
+    assert "read as UTC, of the last change of the file" in "\n".join(describe(tmp_path / "a.jpg").lines())
+
+
 @pytest.mark.parametrize("text", ["a,b,c\n1,2,3\n", "name,value\nx,1\n", "hello\n"])
 def test_other_tables_are_not_taken_for_control_points(tmp_path, text):
     path = tmp_path / "t.csv"

@@ -49,6 +49,12 @@ def photo(
         ("20210512_083107", UNIX, 1.0),
         ("1620808267123", UNIX + 0.123, 1e-3),
         ("frame_1620808267.123456", UNIX + 0.123456, 1e-6),
+        ("1620808267123456789", UNIX + 0.123456789, 1e-9),
+        ("2021-05-12T08-31-07.123456789", UNIX + 0.123456789, 1e-9),
+        ("2021-05-12 08.31.07 PM", UNIX + 43200, 1.0),
+        ("2021-05-12 08.31.07 am", UNIX, 1.0),
+        ("20210512_083107-0400", UNIX, 1.0),  # a counter
+        ("20210512_083107+123", UNIX, 1.0),
     ],
 )
 def test_usual_names(stem, seconds, resolution):
@@ -57,6 +63,17 @@ def test_usual_names(stem, seconds, resolution):
     assert stamp.shown_s == pytest.approx(seconds, abs=3e-7)
     assert stamp.resolution_s == pytest.approx(resolution)
     assert stamp.utc_offset_s is None
+
+
+@pytest.mark.parametrize(
+    ("stem", "offset_s"),
+    [("20210512T083107Z", 0.0), ("20210512T103107.123+0200", 7200.0), ("2021-05-12T10-31-07+02-00", 7200.0)],
+)
+def test_zones_in_names(tmp_path, stem, offset_s):
+    assert stamp_from_name(stem).utc_offset_s == offset_s
+    photo(tmp_path / f"{stem}.jpg")
+    found = read_image_stamps(tmp_path, utc_offset="+05:00")
+    assert np.floor(found.table["t_device_s"][0]) == T0
 
 
 @pytest.mark.parametrize(
@@ -69,6 +86,49 @@ def test_names_without_a_time(stem):
 def test_a_burst_counter_is_no_fraction():
     stamp = stamp_from_name("IMG_20210512_083107_1")
     assert stamp.resolution_s == 1.0
+
+
+@pytest.mark.parametrize("when", [None, "2021:05:12 08:31:07"])
+def test_digits_that_count_the_images_are_no_fraction(tmp_path, when):
+    for k in range(4):
+        photo(tmp_path / f"dji_fly_20210512_0831{7 + 3 * k:02d}_{100 + k}_photo.jpg", when)
+    found = read_image_stamps(tmp_path, source="name")
+    assert found.table["t_device_s"].tolist() == [T0, T0 + 3, T0 + 6, T0 + 9]
+    assert any("Three digits behind the second count the images" in note for note in found.report.notes)
+
+
+def test_times_of_the_last_change_are_told(tmp_path):
+    exif = Image.Exif()
+    exif[0x0132] = "2021:05:20 12:00:00"
+    Image.new("RGB", (8, 8)).save(tmp_path / "a.jpg", exif=exif)
+    notes = read_image_stamps(tmp_path).report.notes
+    assert any("1 stamps are of the last change of the file (EXIF DateTime)" in note for note in notes)
+    photo(tmp_path / "a.jpg", "2021:05:12 08:31:07")
+    assert not any("last change" in note for note in read_image_stamps(tmp_path).report.notes)
+
+
+@pytest.mark.parametrize(
+    ("clock", "date", "words"),
+    [
+        (10, "2021:05:12", "+7200 s from the times of GPS (UTC) in EXIF (+2:00 h: a time zone)"),
+        (8, "2021:05:12", ""),
+        (10, "", ""),
+    ],
+)
+def test_local_time_is_seen_beside_the_time_of_gps(tmp_path, clock, date, words):
+    exif = Image.Exif()
+    exif.get_ifd(0x8769)[0x9003] = f"2021:05:12 {clock:02d}:31:07"
+    exif.get_ifd(0x8825)[0x001D], exif.get_ifd(0x8825)[0x0007] = date, (8.0, 31.0, 6.5)
+    Image.new("RGB", (8, 8)).save(tmp_path / "a.jpg", exif=exif)
+    notes = " ".join(read_image_stamps(tmp_path).report.notes)
+    assert words in notes
+    assert ("times of GPS" in notes) == bool(words)
+
+
+def test_a_clock_that_was_not_set_is_told(tmp_path):
+    photo(tmp_path / "a.jpg", "1998:01:01 00:00:07")
+    notes = read_image_stamps(tmp_path).report.notes
+    assert any("first time is 1998-01-01. Was the clock of the camera set?" in note for note in notes)
 
 
 def test_a_pattern_of_the_user():
@@ -198,6 +258,7 @@ def test_a_hole_is_a_gap_with_the_number_of_images(tmp_path):
         (f"{UNIX}.25", "unix_s", 0.25, 0.01, 0.0),
         (f"{UNIX},75", "unix_s", 0.75, 0.01, 0.0),
         (f"{UNIX}", "unix_s", 0.0, 1.0, 0.0),
+        ("1.620808267123000000e+09", "unix_s", 0.123, 1e-6, 0.0),
         (f"{T0 + 0.5}", "t_gps_s", 0.5, 0.1, 0.0),
         ("2021-05-12T08:31:07.125+02:00", "time_utc", 0.125, 0.001, 7200.0),
     ],

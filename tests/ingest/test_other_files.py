@@ -31,6 +31,7 @@ FILES = {
     "pcd": b"# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\n",
     "sqlite": b"SQLite format 3\x00" + bytes(40),
     "video": bytes([0, 0, 0, 24]) + b"ftypmp42" + bytes(40),
+    "heif": bytes([0, 0, 0, 24]) + b"ftypheic" + bytes(40),
     "kml": b'<?xml version="1.0"?>\n<kml xmlns="http://www.opengis.net/kml/2.2"/>',
     "gml": b'<?xml version="1.0"?>\n<FeatureCollection xmlns:gml="http://www.opengis.net/gml"/>',
     "dxf": b"  0\r\nSECTION\r\n  2\r\nENTITIES\r\n",

@@ -38,6 +38,19 @@ Interior = Literal["auto", "free", "weighted", "fixed"]
 """What an interior orientation counts for, as of `resect_series`."""
 
 
+def _refuse_beyond(marks: pd.DataFrame, size_px: tuple[int, int], cure: str) -> None:
+    """Refuse marks outside of a picture."""
+    xy = marks[["x_px", "y_px"]].to_numpy(np.float64)
+    beyond = ~((xy >= 0) & (xy <= size_px)).all(axis=1)
+    if beyond.any():
+        row = marks[beyond].iloc[0]
+        raise InputError(
+            f"the mark of {row['point']} at ({row['x_px']:g}, {row['y_px']:g}) in {row['image']}",
+            expected=f"pixels inside of {size_px[0]} x {size_px[1]}",
+            cure=cure,
+        )
+
+
 def resect_series(
     camera: Camera,
     marks: pd.DataFrame,
@@ -86,11 +99,17 @@ def resect_series(
 
     Raises
     ------
-    InputError : no mark shows a control point, or a weighted interior orientation without a covariance.
+    InputError : no mark shows a control point, one lies outside of the camera's picture, or a weighted
+        interior orientation without a covariance.
     GeometryError : the points do not tell what is ``free``, which is named; or the marks contradict an
         interior orientation that is to be believed (``weighted``, ``fixed``).
     """
     known = _Known.of(marks, points, sigma_px, sigma_point_m)
+    _refuse_beyond(
+        marks,
+        camera.size_px,
+        "Give marks in pixels from the upper left corner, and the lens of these pictures",
+    )
     field, tables = known.field, known.tables
     start, together, notes = _lens_to_begin_with(camera, known, interior, free)
     found: dict[str, Resected] = {}
@@ -291,15 +310,7 @@ def starting_lens(
     InputError : no mark shows a control point, or marks outside of the picture.
     GeometryError : no picture fits with any focal length.
     """
-    xy = marks[["x_px", "y_px"]].to_numpy(np.float64)
-    beyond = ~((xy >= 0) & (xy <= size_px)).all(axis=1)
-    if beyond.any():
-        row = marks[beyond].iloc[0]
-        raise InputError(
-            f"the mark of {row['point']} at ({row['x_px']:g}, {row['y_px']:g}) in {row['image']}",
-            expected=f"pixels inside of {size_px[0]} x {size_px[1]}",
-            cure="State the size of the pictures in which the points were measured",
-        )
+    _refuse_beyond(marks, size_px, "State the size of the pictures in which the points were measured")
     known = _Known.of(marks, points, sigma_px, sigma_point_m)
     shown = sorted(known.tables.values(), key=len, reverse=True)
     # others than the first count if a pose can be had of them at all

@@ -77,18 +77,29 @@ _DISTORTION: Final = (
 _WIDTH: Final = ("width", "image_width", "image_Width")
 _HEIGHT: Final = ("height", "image_height", "image_Height")
 _MODEL: Final = ("distortion_model", "camera_model", "model")
-_FISHEYE: Final = {"fisheye", "equidistant", "kannala_brandt", "kannalabrandt", "kannala_brandt4"}
-_PERSPECTIVE: Final = {
-    "plumb_bob",
-    "radtan",
-    "brown",
-    "rational_polynomial",
-    "pinhole",
-    "perspective",
-    "opencv",
+_FISHEYE: Final = {
+    "fisheye",
+    "equidistant",
+    "kannala_brandt",
+    "kannalabrandt",
+    "kannala_brandt4",
+    "opencv_fisheye",
 }
+_PERSPECTIVE: Final = {
+    "plumb_bob", "plumbbob", "radtan", "radtan4", "radtan5", "radtan8", "radial_tangential", "brown",
+    "brown5", "brown_conrady", "rational", "rational_polynomial", "pinhole", "perspective", "opencv",
+    "opencv5", "full_opencv", "standard",
+}  # fmt: skip
+_OTHER_LENSES: Final = {
+    "omni", "omnidir", "omnidirectional", "mei", "ucm", "eucm", "ds", "double_sphere", "scaramuzza", "ocam",
+    "ocamcalib", "fov", "ftheta", "division", "thin_prism_fisheye", "spherical", "equirectangular",
+    "cylindrical",
+}  # fmt: skip
+"""Words of `_MODEL` for lenses that are neither."""
 _METASHAPE: Final = ("f", "cx", "cy", "b1", "k1", "k2", "k3", "k4", "p1", "p2")
 _OPENCV_ORDER: Final = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+_TURNED: Final = 0.05
+"""Of a picture, that a principal point lies from the middle where width and height may be exchanged."""
 _OFF_CENTRE: Final = 0.35
 """Of a picture, that a principal point lies from its middle at most."""
 _HALF: Final = 0.5
@@ -407,7 +418,12 @@ def read_metashape(path: Path) -> Camera:
         lost = {k: float(found[k]) for k in ("b2", "p3", "p4") if float(found.get(k, 0.0)) != 0.0}
     except (KeyError, ValueError) as error:
         raise InputError(f"no lens: {error}", expected="width, height, f and so on", where=path) from error
-    model: Model = "perspective" if found.get("projection", "frame") == "frame" else "fisheye"
+    projection = found.get("projection", "frame")
+    if projection not in ("frame", "fisheye", "equidistant_fisheye"):
+        raise UnsupportedError(
+            f"the projection {projection}", expected="frame or equidistant_fisheye", where=path
+        )
+    model: Model = "perspective" if projection == "frame" else "fisheye"
     lost |= {k: p[k] for k in (("k4",) if model == "perspective" else ("p1", "p2")) if p[k]}
     if lost:
         raise UnsupportedError(
@@ -485,8 +501,16 @@ def read_opencv(path: Path, model: Model | None = None, size_px: tuple[int, int]
         raise UnsupportedError(
             f"a camera matrix with skew: {K.tolist()}", expected="fx 0 cx, 0 fy cy, 0 0 1", where=path
         )
-    kind = model or _model(data, D.size, path)
+    kind = model or _model(data, D.size, path, distorted=bool(np.any(D)))
     size = size_px or _size(data, path)
+    region = data.get("roi")
+    if isinstance(region, dict) and (region.get("x_offset") or region.get("y_offset")):
+        raise UnsupportedError(
+            f"pictures that are a part of {size[0]} x {size[1]} pixels: roi {region}",
+            expected="whole pictures",
+            where=path,
+            cure="Take x_offset and y_offset off the principal point and write the size of the part",
+        )
     names = ("k1", "k2", "k3", "k4") if kind == "fisheye" else _OPENCV_ORDER
     if D.size > len(names) and np.any(D[len(names) :]):
         raise UnsupportedError(
@@ -565,6 +589,13 @@ def check_lens(camera: Camera, where: str | Path) -> None:
     fx, fy, cx, cy = camera.parameters[:4].tolist()
     w, h = camera.size_px
     off = max(abs(cx / w - 0.5), abs(cy / h - 0.5))
+    if off > 3.0 * _TURNED and max(abs(cx / h - 0.5), abs(cy / w - 0.5)) < _TURNED:
+        raise InputError(
+            f"the principal point {cx:g}, {cy:g} of {w} x {h} pixels",
+            expected=f"one near the middle: this is the middle of {h} x {w}",
+            where=where,
+            cure="Look whether width and height are exchanged, or the picture was turned",
+        )
     if min(fx, fy) < 0.1 * max(w, h) or max(fx, fy) > 100.0 * max(w, h) or off > _OFF_CENTRE:
         raise InputError(
             f"focal lengths {fx:g}, {fy:g} and principal point {cx:g}, {cy:g} of {w} x {h} pixels",
@@ -575,12 +606,17 @@ def check_lens(camera: Camera, where: str | Path) -> None:
 
 
 def _numbers(data: Mapping[str, Any], keys: Sequence[str], path: Path) -> ArrayF:
-    key = next((key for key in keys if key in data), None)
-    if key is None:
+    named = [key for key in keys if key in data]
+    if not named:
         raise InputError(
             f"none of the keys {', '.join(keys)}", expected="a camera of OpenCV or ROS", where=path
         )
+    key = named[0]
     value = data[key]
+    if other := next((name for name in named if data[name] != value), None):
+        raise InputError(
+            f"{key} and {other}, which differ", expected="one of them", where=path, cure="Leave the other out"
+        )
     if isinstance(value, dict):
         value = value.get("data")
     try:
@@ -589,14 +625,22 @@ def _numbers(data: Mapping[str, Any], keys: Sequence[str], path: Path) -> ArrayF
         raise InputError(f"{key} holds no numbers", expected="a matrix", where=path) from error
 
 
-def _model(data: Mapping[str, Any], coefficients: int, path: Path) -> Model:
-    for key in _MODEL:
-        word = str(data.get(key, "")).lower()
+def _model(data: Mapping[str, Any], coefficients: int, path: Path, *, distorted: bool) -> Model:
+    for key in (*_MODEL, "model_type"):
+        word = re.sub(r"[ -]+", "_", str(data.get(key) or "").strip().lower())
         if word in _FISHEYE:
             return "fisheye"
         # "pinhole" alone may have a fisheye's distortion beside it
         if word in _PERSPECTIVE and not (word == "pinhole" and key != "distortion_model"):
             return "perspective"
+        plain = word in ("", "none", "no_distortion") and not distorted
+        if word in _OTHER_LENSES or (key == "distortion_model" and word and not plain):
+            raise UnsupportedError(
+                f"{key}: {data[key]}",
+                expected=f"one of {', '.join(sorted(_PERSPECTIVE | _FISHEYE))}",
+                where=path,
+                cure="Calibrate with such a lens model, or state by --model what the coefficients are of",
+            )
     for key in ("fisheye_model", "fisheye"):
         if key in data:
             return "fisheye" if data[key] in (1, True, "1", "true") else "perspective"

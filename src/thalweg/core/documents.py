@@ -527,7 +527,8 @@ def read_yaml(path: Path) -> Document:
 
 
 def parse_yaml(text: str) -> Document:
-    """Parse YAML text; see `read_yaml`."""
+    """Parse YAML text; see `read_yaml`. OpenCV's head, as OpenVINS has it, is that of no YAML version."""
+    text = re.sub(r"\A%YAML:", "#YAML:", text)
     # libyaml lets tabs pass that Python's parser refuses with its line and cure
     document = _parsed(text, _Loader if "\t" in text else _QuickLoader)
     return _parsed(text, _Loader) if document.mistakes else document

@@ -6,6 +6,7 @@ those of OpenDroneMap from the centre of the first pixel (OpenSfM adds the half 
 pixel is added.
 """
 
+import contextlib
 import logging
 import math
 import re
@@ -36,7 +37,16 @@ from thalweg.core import (
     parse_xml,
     rows_of,
 )
-from thalweg.core.values import FORMS, HUGE, is_nothing, is_vector_file, near_world, world_of
+from thalweg.core.values import (
+    FORMS,
+    HUGE,
+    in_metres,
+    is_nothing,
+    is_vector_file,
+    near_world,
+    says_downwards,
+    world_of,
+)
 from thalweg.images.model import (
     ControlMarks,
     ControlPoints,
@@ -56,15 +66,45 @@ _ROLES: Final = {
     "check": True, "check point": True, "checkpoint": True, "validation": True,
 }  # fmt: skip
 """Words for control (false) and check points (true), small letters."""
+_FLAGS: Final = {
+    **dict.fromkeys(("true", "1", "yes", "y", "on", "x"), True),
+    **dict.fromkeys(("false", "0", "no", "n", "off"), False),
+}
+"""Words of a cell that answers yes or no, small letters."""
 _NAMED: Final = 5
 """Names that a message lists."""
+_OF_SIGMA: Final = ("sigma", "std", "sd", "stdev", "stddev", "std_dev", "rms", "rmse")
+_OF_PLANE: Final = (
+    "accuracy_horizontal",
+    "horizontal_accuracy",
+    "rms_horizontal",
+    "horizontal_rms",
+    "lateral_rms",
+    "sigma_horizontal",
+    "hrms",
+    "h_rms",
+)
+"""Standard deviations of east and north alike."""
+
+
+def _sigma_names(*axes: str) -> tuple[str, ...]:
+    """Words by which a column of standard deviations along an axis is known, without their unit."""
+    pairs = [(word, axis) for axis in axes for word in ("accuracy", *_OF_SIGMA, "s")]
+    glued = [f"{word}{axis}" for word, axis in pairs if len(axis) == 1 and len(word) < 6]
+    return (
+        *(f"{a}_{b}" for pair in pairs for a, b in (pair, pair[::-1])),
+        *glued,
+        *(f"{a}rms" for a in "v" if a in axes),
+    )
+
+
 NAMES: Final[Mapping[str, tuple[str, ...]]] = {
     "id": ("id", "label", "name", "point", "gcp", "marker", "gcp_name", "point_id", "pointid", "punkt", "nr"),
     "image": ("image", "photo", "camera", "image_name", "imagename", "file", "filename", "camera_label"),
     "point": ("point", "gcp", "marker", "label", "id", "gcp_name", "marker_label"),
     "x_px": ("x_px", "u", "u_px", "im_x", "image_u", "x"),
     "y_px": ("y_px", "v", "v_px", "im_y", "image_v", "y"),
-    "sigma_px": ("sigma_px", "accuracy_px"),
+    "sigma_px": ("sigma_px", "accuracy_px", "sigma_x_px"),
     "east_m": ("east_m",),
     "north_m": ("north_m",),
     "up_m": ("up_m",),
@@ -74,51 +114,24 @@ NAMES: Final[Mapping[str, tuple[str, ...]]] = {
     "x": ("x", *WORDS["east"].split()),
     "y": ("y", *WORDS["north"].split()),
     "z": ("z", *WORDS["height"].split()),
-    "sigma_east_m": (
-        "sigma_east_m",
-        "sigma_x_m",
-        "x/east accuracy",
-        "x accuracy",
-        "sx",
-        "sigmax",
-        "sigma_x",
-        "easting rms",
-        "accuracy_horizontal",
-        "horizontal_accuracy",
-    ),
-    "sigma_north_m": (
-        "sigma_north_m",
-        "sigma_y_m",
-        "y/north accuracy",
-        "y accuracy",
-        "sy",
-        "sigmay",
-        "sigma_y",
-        "northing rms",
-        "accuracy_horizontal",
-        "horizontal_accuracy",
-    ),
-    "sigma_up_m": (
-        "sigma_up_m",
-        "sigma_z_m",
-        "z/altitude accuracy",
-        "z accuracy",
-        "sz",
-        "sigmaz",
-        "sigma_z",
-        "elevation rms",
-        "accuracy_vertical",
-        "vertical_accuracy",
-    ),
-    "accuracy": ("accuracy", "accuracy (m)", "accuracy_x/y/z"),
+    "sigma_east_m": (*_sigma_names("east", "x", "e", "easting"), *_OF_PLANE),
+    "sigma_north_m": (*_sigma_names("north", "y", "n", "northing"), *_OF_PLANE),
+    "sigma_up_m": _sigma_names("up", "z", "v", "vertical", "u", "elevation", "altitude", "height", "h"),
+    "accuracy": ("accuracy", "accuracy (m)", "accuracy_x/y/z", *_OF_SIGMA),
     "role": ("role", "type"),
-    "used": ("used",),
+    "used": ("used", "use", "enabled", "enable", "active", "control", "is_control"),
+    "check": ("check", "is_check", "checkpoint", "check_point"),
 }
 """Headings, in small letters, by which a column is known."""
 _SIGMAS: Final = ("sigma_east_m", "sigma_north_m", "sigma_up_m")
+_LIKE_SIGMA: Final = re.compile(
+    r"(?:^|_)(?:sigma|std|stdev|stddev|standard|rms|rmse|accuracy|precision)(?:_|$)"
+)
 log = logging.getLogger("thalweg")
 _LEAST_PX: Final = 2.0
 """No picture has all of its marks in its first pixels."""
+_TEXTS: Final = {"id", "image", "point", "role", "used", "check"}
+"""Columns that hold names and words, also where they look like numbers."""
 LINE: Final = "line"
 """Key of a row under which the number of its line stands."""
 Loader = Callable[[str], "ArrayU8 | None"]
@@ -230,7 +243,11 @@ def _placed_rows(
 ) -> tuple[list[dict[str, str]], str | None]:
     """Rows of a table, or of points of a GIS, and the CRS that the file states, or ``crs``."""
     if not is_vector_file(path):
-        return table_rows(path, needed), crs
+        rows, table = _rows_and_table(path, needed)
+        _refuse_downwards(table)
+        _note_sigmas(rows, table)
+        _sign_degrees(rows, table)
+        return rows, crs if crs == LOCAL else _stated_crs(table) or crs
     table, found = read_places(path, None, any_system=True)
     return named_rows(table), crs if found.crs is None else found.crs.to_wkt()
 
@@ -288,8 +305,10 @@ def frame_about(paths: Sequence[Path], *, crs: str | None) -> LocalFrame:
         rows, stated = _point_rows(path, crs)
         form = next((f for f in FORMS[1:] if rows and rows[0].keys() >= set(f)), None)
         if form is not None:
-            own = crs_of(stated, path) if form[0] == "x" else None
-            places.append(world_of(numbers(rows, form, path), form, own, nowhere))
+            values, own = numbers(rows, form, path), None
+            if form[0] == "x":
+                values, own = _metric(values, crs_of(stated, path), path)
+            places.append(world_of(values, form, own, nowhere))
     if not places:
         raise InputError(
             "control points without a place on the earth",
@@ -311,7 +330,12 @@ def _is_check(row: dict[str, str], path: Path) -> bool:
             where=place_of(row, path),
             cure=f"{both}rite control for points that fix the block",
         )
-    return _ROLES[word]
+    return _ROLES[word] or not _answer(row, "used", True) or _answer(row, "check", False)
+
+
+def _answer(row: Mapping[str, str], name: str, default: bool) -> bool:
+    """Whether a cell says yes; the default where it is empty or says neither."""
+    return _FLAGS.get(row.get(name, "").lower(), default)
 
 
 def read_marks(path: Path) -> MarkTable:
@@ -329,6 +353,8 @@ def read_marks(path: Path) -> MarkTable:
         (rows, _), first_px = _gcp_rows(path, text), 0.5
     else:
         rows = table_rows(path, ("image", "point", "x_px", "y_px"))
+        if rows and "accuracy" in rows[0] and not {"sigma_px", "z", "up_m"} & rows[0].keys():
+            rows = [row | {"sigma_px": row["accuracy"]} for row in rows]
         if rows and "image" not in rows[0]:  # a table for each picture, which it is called like
             rows = [row | {"image": path.stem} for row in rows]
     xy_px = _meant(rows, ("x_px", "y_px"), path)
@@ -344,7 +370,7 @@ def read_marks(path: Path) -> MarkTable:
         point=tuple(required(r, "point", path) for r in rows),
         xy_px=xy_px + first_px,
         sigma_px=numbers(rows, ("sigma_px",), path, math.nan)[:, 0],
-        used=np.array([(r.get("used") or "true").lower() in ("true", "1", "yes") for r in rows]),
+        used=np.array([_answer(r, "used", not r.get("used")) for r in rows]),
         skipped=skipped,
     )
 
@@ -545,11 +571,24 @@ def _coordinates(
             cure="Name the columns of the coordinates in the first line",
         )
     values = _meant(rows, form, path)
+    known = None
+    if form == FORMS[2] and crs != LOCAL:
+        values, known = _metric(values, crs_of(crs, path), path)
     if form != FORMS[0]:
         values[:, 2] += height_offset_m
     if form == FORMS[2] and crs == LOCAL:
         return values
-    return near_world(values, form, crs_of(crs, path) if form == FORMS[2] else None, frame, path, own=own)
+    return near_world(values, form, known, frame, path, own=own)
+
+
+def _metric(values: ArrayF, crs: CRS, path: Path) -> tuple[ArrayF, CRS]:
+    """Coordinates (n, 3) and their CRS in metres, whose units are not the same across and upwards."""
+    stated = in_metres(crs)
+    if stated.crs is None or stated.factors == (1.0, 1.0, 1.0):
+        return values, crs
+    for note in stated.notes:
+        log.warning("%s: %s", path.name, note)
+    return values * stated.factors, stated.crs
 
 
 # ---------------------------------------------------------------- tables with named columns as people and
@@ -567,6 +606,10 @@ def table_rows(path: Path, needed: Sequence[str] = ()) -> list[dict[str, str]]:
     ------
     InputError : see `thalweg.ingest.read_text_table`; no names of columns.
     """
+    return _rows_and_table(path, needed)[0]
+
+
+def _rows_and_table(path: Path, needed: Sequence[str]) -> tuple[list[dict[str, str]], Table]:
     table = read_text_table(path)
     if not table.named:
         raise InputError(
@@ -577,7 +620,57 @@ def table_rows(path: Path, needed: Sequence[str] = ()) -> list[dict[str, str]]:
         )
     for note in table.notes:
         log.warning("%s: %s", path.name, note)
-    return named_rows(table)
+    return named_rows(table), table
+
+
+def _note_sigmas(rows: list[dict[str, str]], table: Table) -> None:
+    """Say which standard deviations a table seems to have that are not read."""
+    known = {name for names in NAMES.values() for name in names}
+    stated = [name for name in _SIGMAS if rows and name in rows[0]]
+    unread = [
+        c.name for c in table.columns if _LIKE_SIGMA.search(c.words) and not {c.name.lower(), c.words} & known
+    ]
+    if unread or (len(stated) in (1, 2) and "accuracy" not in rows[0]):
+        log.warning(
+            "%s: standard deviations are read of %s%s; for the others the settings count",
+            table.path.name,
+            ", ".join(stated) or "no axis",
+            f", not of the columns {', '.join(unread)}" if unread else "",
+        )
+
+
+def _stated_crs(table: Table) -> str | None:
+    """The CRS that a table states in a remark or in a column; None: none, or one that PROJ does not know."""
+    for line in table.remarks:
+        found = re.match(r"(?i)\W*(?:coordinate ?system|crs)\s*:\s*(\S.*)$", line)
+        if found and not found[1].startswith("LOCAL_CS"):
+            with contextlib.suppress(InputError):
+                return crs_of(found[1], table.path).to_wkt()
+    return None if table.code is None else f"EPSG:{table.code}"
+
+
+def _refuse_downwards(table: Table) -> None:
+    heights = {*NAMES["z"], *NAMES["h_ell_m"], "up"}
+    down = next((c.name for c in table.columns if c.words in heights and says_downwards(c.name)), None)
+    if down is not None:
+        raise InputError(
+            f"the column {down}",
+            expected="heights, positive upwards",
+            where=table.path,
+            cure="Change its sign",
+        )
+
+
+def _sign_degrees(rows: list[dict[str, str]], table: Table) -> None:
+    """Latitudes and longitudes get the sign of the hemisphere whose letter has a column of its own."""
+    cells = [{text.upper() for text in table.text(k)} - {""} for k in range(len(table.columns))]
+    if not any(found and found <= set("NSEW") for found in cells):
+        return
+    for name, quantity in (("lat_deg", "lat"), ("lon_deg", "lon")):
+        if rows and name in rows[0]:
+            of_line = dict(zip(table.line.tolist(), table.angles(quantity).tolist(), strict=True))
+            for row in rows:
+                row[name] = repr(of_line[int(row[LINE])])
 
 
 def named_rows(table: Table, names: Mapping[str, tuple[str, ...]] = NAMES) -> list[dict[str, str]]:
@@ -595,6 +688,12 @@ def named_rows(table: Table, names: Mapping[str, tuple[str, ...]] = NAMES) -> li
             cure="Correct these rows: a separator too many, or a name with a blank",
         )
     rows = table.rows(names) or [{} for _ in range(len(table))]
+    for ours in _TEXTS & names.keys():  # what looks like a number, or like one with a unit, is a name here
+        heads = [
+            k for n in names[ours] for k, c in enumerate(table.columns) if n in (c.name.lower(), c.words)
+        ]
+        for k in heads[:1]:
+            rows = [row | {ours: text} for row, text in zip(rows, table.text(k), strict=True)]
     meant = {"id", "image", "point", "x_px", "y_px", *(name for form in FORMS for name in form)}
     return [
         row | {LINE: str(line)}
@@ -732,6 +831,24 @@ def crs_of(text: str | None, path: Path) -> CRS:
         ) from error
 
 
+def map_grid(text: str, path: Path) -> CRS:
+    """The grid in which results are wanted: their columns are metres.
+
+    Raises
+    ------
+    InputError : an unknown CRS, or none of a map in metres.
+    """
+    crs = crs_of(text, path)
+    if not crs.is_projected or any(abs(axis.unit_conversion_factor - 1) > 1e-9 for axis in crs.axis_info):
+        raise InputError(
+            f"the CRS '{crs.name}'",
+            expected=f"a projected one in metres, or {LOCAL}",
+            cure="Give the map grid in which results are wanted, such as EPSG:25833; a table of points may "
+            "state another one above its rows (# CRS: EPSG:2226)",
+        )
+    return crs
+
+
 # ---------------------------------------------------------------- control points and marks as other programs
 # write them: OpenDroneMap and Metashape
 #
@@ -770,12 +887,23 @@ def _metashape(path: Path, text: str) -> ElementTree.Element:
     root = parse_xml(text, path, "markers as Metashape exports them")
     if root.find(".//markers") is None:
         raise InputError("no markers", expected="markers as Metashape exports them", where=path)
+    chunks = [chunk for chunk in root.iter("chunk") if chunk.find(".//markers/marker") is not None]
+    if len(chunks) > 1:  # each numbers its cameras and markers from 0
+        raise InputError(
+            f"{len(chunks)} chunks with markers",
+            expected="one",
+            where=path,
+            cure="Export the markers of one chunk",
+        )
     return root
 
 
 def metashape_points(path: Path, text: str, crs: str | None) -> tuple[list[dict[str, str]], str | None]:
     """Markers with reference coordinates, and the CRS that the file states, or ``crs``."""
     root = _metashape(path, text)
+    settings = {p.get("name"): p.get("value") for p in root.iterfind(".//settings/property")}
+    usual = settings.get("accuracy_markers") or ""
+    usual = usual if re.search(r"[1-9]", usual) else ""
     rows = []
     for marker in root.iter("marker"):
         reference = marker.find("reference")
@@ -783,12 +911,24 @@ def metashape_points(path: Path, text: str, crs: str | None) -> tuple[list[dict[
             continue
         row = {"id": marker.get("label", ""), **{a: reference.get(a, "") for a in "xyz"}}
         for axis, name in zip("xyz", ("east", "north", "up"), strict=True):
-            row[f"sigma_{name}_m"] = reference.get(f"s{axis}") or reference.get("sxyz") or ""
+            row[f"sigma_{name}_m"] = reference.get(f"s{axis}") or reference.get("sxyz") or usual
         row["role"] = "control" if reference.get("enabled", "true") in ("true", "1") else "check"
         rows.append(row)
+    if usual and any(row["sigma_east_m"] == usual for row in rows):
+        log.warning(
+            "%s: markers without an accuracy have that of the chunk (accuracy_markers), %s m",
+            path.name,
+            usual,
+        )
     places = (".//markers/../reference", ".//coordinate_system/wkt", ".//coordinate_system", ".//reference")
     stated = [element.text for place in places if (element := root.find(place)) is not None]
     found = next((t.strip() for t in stated if t and t.strip()), None)
+    if found and crs == LOCAL and CRS.from_user_input(found).is_engineering:
+        if CRS.from_user_input(found).axis_info[0].unit_conversion_factor != 1.0:
+            raise InputError(
+                f"coordinates in '{CRS.from_user_input(found).name}'", expected="metres", where=path
+            )
+        return rows, crs
     return rows, found or crs
 
 

@@ -12,7 +12,7 @@ from pyproj import CRS
 
 from thalweg.calibration import guessed_lens, nominal_camera, read_camera, resect_series, starting_lens
 from thalweg.core import WGS84, Camera, InputError
-from thalweg.images.control import crs_of, frame_about, read_all_control_points, read_all_marks
+from thalweg.images.control import frame_about, map_grid, read_all_control_points, read_all_marks
 from thalweg.images.masks import size_of
 from thalweg.images.sfm import focal_from_exif
 from thalweg.ingest.photos import read_head
@@ -70,11 +70,7 @@ def resect_pictures(
         )
     section, settings = control or ControlSettings(), settings or FixedCamera()
     frame = frame_about(control_points, crs=crs)
-    grid = None if crs == LOCAL else crs_of(crs, control_points[0])
-    if grid is not None and not grid.is_projected:
-        raise InputError(
-            f"the CRS '{grid.name}'", expected=f"a projected one, or {LOCAL}", cure="Give a map grid"
-        )
+    grid = None if crs == LOCAL else map_grid(crs, control_points[0])
     points = read_all_control_points(
         control_points, frame, crs=crs, sigma_m=section.sigma_m, height_offset_m=section.height_offset_m
     )
@@ -106,6 +102,12 @@ def resect_pictures(
         )
     else:
         start = read_camera(camera)
+        shown = next((px for name in order if (px := size_of(marks[0].parent / name))), start.size_px)
+        if shown != start.size_px:
+            notes.append(
+                f"Pictures beside the marks have {shown[0]} x {shown[1]} pixels, the lens is of "
+                f"{start.size_px[0]} x {start.size_px[1]}: marks count as measured in pictures of that size"
+            )
     poses, residuals, lens, told = resect_series(
         start,
         table,

@@ -28,8 +28,8 @@ from thalweg.images.bundle import (
 from thalweg.images.control import (
     CameraPositions,
     MarkTable,
-    crs_of,
     frame_about,
+    map_grid,
     matched_marks,
     read_all_control_points,
     read_all_marks,
@@ -224,12 +224,8 @@ def what_is_given(
     if placed and crs is None:
         raise InputError("coordinates without a CRS", expected=f"a map grid, or {LOCAL}", where=placed[0])
     frame = frame_about(placed, crs=crs)
-    if crs not in (None, LOCAL) and placed and not (stated := crs_of(crs, placed[0])).is_projected:
-        raise InputError(
-            f"the CRS '{stated.name}'",
-            expected=f"a projected one, or {LOCAL}",
-            cure="Give the map grid in which results are wanted, such as EPSG:25833",
-        )
+    if crs is not None and crs != LOCAL and placed:
+        map_grid(crs, placed[0])
     points = read_all_control_points(
         control_points, frame, crs=crs, sigma_m=section.sigma_m, height_offset_m=section.height_offset_m
     )

@@ -105,6 +105,7 @@ def read_kalibr(path: Path) -> list[KalibrCamera]:
     names = [name for name in data if name.startswith("cam") and name[3:].isdigit()]
     if not names:
         raise ConfigError("no camera", where=path, expected="sections cam0, cam1 ... as Kalibr writes them")
+    names.sort(key=lambda name: int(name[3:]))
     return [_camera(path, lines, name, data[name]) for name in names]
 
 
@@ -238,7 +239,7 @@ def import_kalibr(path: Path, sigmas: Mapping[str, float], *, run: str = "") -> 
         if found.T_ics_ccs is not None:
             pose = found.T_ics_ccs.with_cov(_pose_cov(sigmas, path))
             parts.append(pose_block(name, pose, target="ics", source="ccs"))
-        elif found.T_ccs_previous is not None:
+        elif k and found.T_ccs_previous is not None:
             pose = found.T_ccs_previous.with_cov(_pose_cov(sigmas, path))
             before = f"camera_{k - 1}"
             parts.append(

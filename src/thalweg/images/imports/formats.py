@@ -45,13 +45,9 @@ _ORDER: Final = ("image", "x", "y", "z", "omega", "phi", "kappa")
 _ANGLES: Final = _ORDER[4:]
 _MATRIX: Final = tuple(f"r{i}{j}" for i in "123" for j in "123")
 _UNITS: Final = {
-    "deg": "deg",
-    "degree": "deg",
-    "degrees": "deg",
-    "°": "deg",
-    "gon": "gon",
-    "grad": "gon",
-    "rad": "rad",
+    **dict.fromkeys(("deg", "degs", "degree", "degrees", "decimal degrees", "dd", "°"), "deg"),
+    **dict.fromkeys(("gon", "gons", "grad", "grads", "gradian", "gradians"), "gon"),
+    **dict.fromkeys(("rad", "rads", "radian", "radians"), "rad"),
 }
 _COLUMNS: Final[Mapping[str, tuple[str, ...]]] = {
     **NAMES,
@@ -115,22 +111,46 @@ def read_angles_table(path: Path, settings: Mapping[str, Any], default_crs: str 
             where=path,
             cure="Name the columns in the first line",
         )
+    off = {row["image"]: "switched off in the table" for row in rows if row.get("used", "").lower() in _FALSE}
+    rows = [row for row in rows if row["image"] not in off]
     coordinates = numbers(rows, form, path)
     names = tuple(required(row, "image", path) for row in rows)
     stated = _angle_unit(table)
     crs, unit, notes = settings["crs"], settings["angle_unit"], list(table.notes)
+    values = numbers(rows, _ANGLES, path)
     if unit == "auto":
         unit = stated or "deg"
+        if stated is None and np.abs(values).max() > 360.0:
+            raise InputError(
+                f"angles up to {np.abs(values).max():g} without a unit",
+                expected="degrees up to 360",
+                where=path,
+                cure="State their unit: images.finished.angle_unit: gon",
+            )
+        if stated is None and not rows[0].keys() >= set(_MATRIX):
+            also = " (none exceeds two pi: are they radians?)" if np.abs(values).max() <= 2 * np.pi else ""
+            words = f"no unit of the angles: taken as degrees{also}"
+            if table.named or not notes:
+                notes.append(f"The table states {words}")
+            else:  # the note that it names no columns
+                notes[-1] += f", and {words}"
     elif stated not in (None, unit):
         notes.append(f"The header says {stated}, images.finished.angle_unit {unit}: {unit} it is")
     how = (settings[name] for name in ("rotation", "direction", "axes"))
-    angles = Angles(numbers(rows, _ANGLES, path), unit, *how)
+    angles = Angles(values, unit, *how)
     if rows[0].keys() >= set(_MATRIX):
         _check_matrix(angles, numbers(rows, _MATRIX, path).reshape(-1, 3, 3), names, path)
     unknown = (np.nan, np.nan, np.nan)
     cov = np.zeros((len(rows), 6, 6))
     cov[:, :3, :3] = np.square(sigmas(rows, path, unknown))[:, :, None] * np.eye(3)
     sigma_angles = sigmas(rows, path, unknown, [f"sigma_{a}" for a in _ANGLES])
+    if np.isfinite(sigma_angles).any() and _angle_unit(table, "sigma_", "s_", "s") not in (None, unit):
+        raise InputError(
+            f"angles in {unit}, and their standard deviations in another unit",
+            expected="one unit",
+            where=path,
+            cure="Convert them",
+        )
     cov[:, 3:, 3:] = angle_covariance(angles, sigma_angles)
     if crs is None and form == FORMS[0]:
         crs = WORLD
@@ -152,23 +172,51 @@ def read_angles_table(path: Path, settings: Mapping[str, Any], default_crs: str 
         coordinates=coordinates[:, [1, 0, 2]] if form == FORMS[1] else coordinates,
         R_place_ccs=ccs_rotations(angles),
         cov=cov,
+        absent=off,
         angles=angles,
         notes=tuple(notes),
     )
 
 
-def _angle_unit(table: Table) -> str | None:
-    """Unit that the names of the columns of angles state."""
-    heads = [column.name.lower() for column in table.columns]
-    stated = [
-        re.match(rf"(?:{'|'.join(_ANGLES)}).*?[\[(_]({'|'.join(_UNITS)})[\])]?$", head) for head in heads
-    ]
-    units = sorted({_UNITS[unit[1]] for unit in stated if unit})
+def _angle_unit(table: Table, *before: str) -> str | None:
+    """Unit that the names of the columns of angles state, or else a remark above them.
+
+    Parameters
+    ----------
+    before : how the names of the columns begin, for those of standard deviations.
+
+    Raises
+    ------
+    InputError : several units, or one that is none of `_UNITS`.
+    """
+    known = "|".join(_UNITS)
+    units = set()
+    for column in table.columns:
+        head = column.name.lower()
+        if not re.match(rf"(?:{'|'.join(before)})(?:{'|'.join(_ANGLES)})", head):
+            continue
+        if found := re.search(rf"_({known})$|[\[(]([^\])]*)[\])]\s*$", head):
+            unit = _UNITS.get(found[1] or found[2].strip())
+            if unit is None:
+                raise InputError(
+                    f"the column {column.name}",
+                    expected="degrees, gon or radians",
+                    where=table.path,
+                    cure="Convert it",
+                )
+            units.add(unit)
+    if not units and not before:
+        for line in table.remarks:
+            if re.search(r"(?i)\b(?:angles?|rotations?|omega)\b", line):
+                units |= {_UNITS[word] for word in re.findall(rf"\b({known})\b", line.lower())}
     if len(units) > 1:
         raise InputError(
-            f"angles in {' and '.join(units)}", expected="one unit", where=table.path, cure="Convert them"
+            f"angles in {' and '.join(sorted(units))}",
+            expected="one unit",
+            where=table.path,
+            cure="Convert them",
         )
-    return units[0] if units else None
+    return next(iter(units), None)
 
 
 def _check_matrix(angles: Angles, given: ArrayF, names: tuple[str, ...], path: Path) -> None:
@@ -259,6 +307,16 @@ def read_metashape(path: Path, crs: str | None) -> Finished:
         notes.append(
             f"{turned} images are turned by their EXIF orientation; poses refer to the stored pixels"
         )
+    shutters = {
+        (e.get("value") or e.text or "").strip().lower()
+        for e in chunk.iter()
+        if "rolling_shutter" in (e.tag, e.get("name"))
+    }
+    if shutters - {"", "false", "0", "disabled"}:
+        notes.append(
+            "The poses are those of a rolling shutter, which moves while it exposes row after row: here they "
+            "count for all rows of a picture"
+        )
     T = np.array(matrices)
     R_chunk = orthogonal(T[:, :3, :3], str(path), tuple(names))
     scale, R0, shift = (np.array(values) for values in zip(*of, strict=True))
@@ -322,6 +380,15 @@ def _transform(element: ElementTree.Element | None, path: Path) -> _Chunk | None
 def _place_of_chunk(chunk: ElementTree.Element, path: Path, crs: str | None, notes: list[str]) -> Place:
     """Geocentric for a CRS on the earth, else what the campaign says, else a frame of its own."""
     stated = (chunk.findtext("reference") or "").strip()
+    if stated.startswith("LOCAL_CS"):
+        own = crs_of(stated, path)
+        if own.axis_info and own.axis_info[0].unit_conversion_factor != 1.0:
+            raise InputError(
+                f"coordinates in '{own.name}'",
+                expected="metres",
+                where=path,
+                cure="Export the cameras in local coordinates in metres",
+            )
     if not stated or stated.startswith("LOCAL_CS"):
         return Place(kind="free") if crs is None else place_of(crs, path)
     known = crs_of(stated, path)

@@ -29,6 +29,7 @@ from thalweg.core import (
     InputError,
     LocalFrame,
     ThalwegError,
+    check_lens,
     robust_sigma,
 )
 from thalweg.core.values import FAR_M
@@ -556,6 +557,7 @@ def _cameras(folder: Path, notes: list[str]) -> dict[int, Camera]:
         made = pc.Camera(camera_id=key, model=of_model, width=width, height=height, params=values)
         try:
             found[key], off_px = from_colmap(made, f"camera_{key}")
+            check_lens(found[key], folder)
         except ThalwegError as error:
             raise InputError(error.found, expected=error.expected, where=folder) from error
         if off_px > 0:

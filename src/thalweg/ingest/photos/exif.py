@@ -15,6 +15,7 @@ from thalweg.ingest import possible_unix
 _DATE = re.compile(r"\s*(\d{4})[:\-/](\d\d)[:\-/](\d\d)[ T](\d\d):(\d\d):(\d\d)(?:[.,](\d+))?\s*\Z")
 _OFFSET = re.compile(r"\s*(?:UTC|GMT)?\s*([+-])(\d{1,2})(?::?([0-5]\d))?\s*\Z")
 _EXIF_IFD: Final = 0x8769
+_GPS_IFD: Final = 0x8825
 _MAKE, _MODEL, _FOCAL = 0x010F, 0x0110, 0x920A
 _SERIALS: Final = (0xA431, 0xC62F)
 """Serial number of the body: BodySerialNumber (EXIF 2.3), CameraSerialNumber (DNG)."""
@@ -53,7 +54,8 @@ class CivilStamp:
 class ImageHead:
     """Size in pixels, camera, focal length (NaN if not stated), time (None if there is none), serial number.
 
-    Texts that are not stated are empty.
+    Texts that are not stated are empty. ``of_change``: the time is that of the last change of the file;
+    ``gps_unix_s``: UTC of the GPS fix, None if there is none.
     """
 
     width: int
@@ -63,6 +65,8 @@ class ImageHead:
     focal_mm: float
     stamp: CivilStamp | None
     serial: str = ""
+    of_change: bool = False
+    gps_unix_s: float | None = None
 
 
 def read_head(path: Path) -> ImageHead:
@@ -93,12 +97,16 @@ def read_head(path: Path) -> ImageHead:
 def _head(image: Image.Image) -> ImageHead:
     try:
         exif = image.getexif()
-        tags: dict[int, dict[int, Any]] = {0: dict(exif), _EXIF_IFD: dict(exif.get_ifd(_EXIF_IFD))}
+        tags: dict[int, dict[int, Any]] = {
+            0: dict(exif),
+            **{folder: dict(exif.get_ifd(folder)) for folder in (_EXIF_IFD, _GPS_IFD)},
+        }
     except (OSError, SyntaxError, ValueError, KeyError, TypeError, EOFError):
-        tags = {0: {}, _EXIF_IFD: {}}
+        tags = {0: {}, _EXIF_IFD: {}, _GPS_IFD: {}}
     every = {**tags[0], **tags[_EXIF_IFD]}
-    stamp = None
+    stamp, of_change = None, False
     for folder, when, fraction, offset in _TIMES:
+        of_change = stamp is None and folder == 0
         # some cameras put sub-seconds and offset of DateTime into the first directory
         stamp = stamp or stamp_from_exif(tags[folder].get(when), every.get(fraction), every.get(offset))
     return ImageHead(
@@ -109,7 +117,22 @@ def _head(image: Image.Image) -> ImageHead:
         focal_mm=_number(every.get(_FOCAL)),
         stamp=stamp,
         serial=next((text for tag in _SERIALS if (text := _text(every.get(tag)))), ""),
+        of_change=of_change and stamp is not None,
+        gps_unix_s=_gps_time(tags[_GPS_IFD]),
     )
+
+
+def _gps_time(tags: dict[int, Any]) -> float | None:
+    """UTC of GPSDateStamp and GPSTimeStamp as Unix time; None if they are absent or impossible."""
+    try:
+        hour, minute, second = (float(part) for part in tags[0x0007])
+    except (KeyError, TypeError, ValueError, ZeroDivisionError):
+        return None
+    found = re.fullmatch(r"\s*(\d{4})[:\-/](\d\d)[:\-/](\d\d)\s*", _text(tags.get(0x001D)))
+    day = civil_second(int(found[1]), int(found[2]), int(found[3]), 0, 0, 0) if found else None
+    if day is None or not possible_unix(day) or not 0 <= hour < 24:
+        return None
+    return day + 3600.0 * hour + 60.0 * minute + second
 
 
 def stamp_from_exif(when: Any, fraction: Any = None, offset: Any = None) -> CivilStamp | None:

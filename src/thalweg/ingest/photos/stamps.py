@@ -7,11 +7,12 @@ in it.
 """
 
 import datetime as dt
+import logging
 import math
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import Final, Literal
 
@@ -32,6 +33,7 @@ from thalweg.core import (
 from thalweg.ingest import (
     IntegrityReport,
     TrackOptions,
+    doubtful_date,
     explain_shift,
     find_gaps,
     possible_unix,
@@ -49,6 +51,8 @@ from thalweg.ingest.photos.files import (
     named_images,
     natural_key,
 )
+
+log = logging.getLogger("thalweg")
 
 # ---------------------------------------------------------------- times in the names of photographs: the
 # usual patterns, and a pattern of the user
@@ -71,18 +75,20 @@ _USUAL: Final = (
     # R20210512_083107123, IMG_20210512_083107_123, 2021-05-12T08-31-07.123, PXL_20210512_083107123
     re.compile(
         r"(?<!\d)(?P<Y>(?:19|20)\d\d)[-_.:]?(?P<m>[01]\d)[-_.:]?(?P<d>[0-3]\d)[-_.T ]{0,3}"
-        r"(?P<H>[0-2]\d)[-_.:h]?(?P<M>[0-5]\d)[-_.:m]?(?P<S>[0-5]\d)(?:[-_., s]?(?P<f>\d{6}|\d{3}))?(?!\d)"
+        r"(?P<H>[0-2]\d)[-_.:h]?(?P<M>[0-5]\d)[-_.:m]?(?P<S>[0-5]\d)(?:[-_., s]?(?P<f>\d{9}|\d{6}|\d{3}))?"
+        r"(?:(?P<z>Z|\+(?:0\d|1[0-4])[-_.:]?(?:[034]0|[14]5))(?![0-9A-Za-z]))?(?!\d)"
+        r"(?: ?(?P<half>[AaPp])[Mm]\b)?"
     ),
-    # Unix time in ms or us, 1620808267123, and in seconds with a fraction, 1620808267.123
-    re.compile(r"(?<!\d)(?P<s>1\d{9})[._]?(?P<f>\d{6}|\d{3})(?!\d)"),
+    # Unix time in ms, us or ns, 1620808267123, and in seconds with a fraction, 1620808267.123
+    re.compile(r"(?<!\d)(?P<s>1\d{9})[._]?(?P<f>\d{9}|\d{6}|\d{3})(?!\d)"),
 )
 
 
 def stamp_from_name(stem: str, pattern: str | None = None) -> CivilStamp | None:
     """Time in the name of a file without its ending; None if there is none.
 
-    The usual names are year to second with or without separators, with three or six digits behind the second
-    or none, and Unix time in ms or us.
+    The usual names are year to second with or without separators, with three, six or nine digits behind the
+    second or none, then maybe ``Z`` or ``+02:00``; and Unix time in ms, us or ns.
 
     Parameters
     ----------
@@ -107,11 +113,17 @@ def stamp_from_name(stem: str, pattern: str | None = None) -> CivilStamp | None:
         if parts.get("s"):
             second: int | None = int(parts["s"])
         else:
+            if half := parts.get("half"):  # of the day, on a clock of twelve hours
+                parts["H"] = str(int(parts["H"]) % 12 + (12 if half in "pP" else 0))
             second = civil_second(*(int(parts.get(name) or 0) for name in "YmdHMS"))
         if second is None or not possible_unix(second):
             continue
-        fraction = int(digits) / 10 ** len(digits) if digits else 0.0
-        return CivilStamp(second_s=second, fraction_s=fraction, resolution_s=10.0 ** -len(digits))
+        return CivilStamp(
+            second_s=second,
+            fraction_s=int(digits) / 10 ** len(digits) if digits else 0.0,
+            resolution_s=10.0 ** -len(digits),
+            utc_offset_s=offset_seconds(re.sub(r"[-_.]", ":", parts.get("z") or "")),
+        )
     return None
 
 
@@ -162,6 +174,8 @@ def read_time_table(path: Path) -> dict[str, CivilStamp]:
     InputError : the table is missing, lacks a column, or holds a time that is none, or a file twice.
     """
     table = read_text_table(path)
+    for note in table.notes:
+        log.warning("%s: %s", path.name, note)
     at = {column.name.lower(): k for k, column in enumerate(table.columns)}
     known = [name for name in TIME_COLUMNS if name in at]
     if "file" not in at or len(known) != 1:
@@ -197,7 +211,9 @@ def _stamp(text: str, form: str, where: str) -> CivilStamp:
             if form == "t_gps_s":
                 value = float(unix_from_gps(value))
             second = math.floor(value)  # of what is not finite it raises
-            fraction = fraction if form == "unix_s" else value - second
+            if form != "unix_s" or re.search("[eE]", text):
+                fraction = value - second
+                digits = min(digits, 6)  # a float64 of Unix time has no more
     except (ValueError, OverflowError) as error:
         raise InputError(
             f"'{text}' is no time",
@@ -241,6 +257,8 @@ IMAGE_STAMPS = table_kind(
 )
 
 _NAMED: Final = 5
+_MOST_GPS_S: Final = 30.0
+"""Cameras write the last position that they had: its time is some seconds older."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -305,6 +323,12 @@ def read_image_stamps(
         "name": [stamp_from_name(path.stem, pattern) for path in files],
         "exif": [head.stamp if head else None for head in heads],
     }
+    # where EXIF has sub-seconds it is compared with the names
+    if _are_counters(stamps["name"]) and all(s is None or s.resolution_s >= 1.0 for s in stamps["exif"]):
+        report.note("Three digits behind the second count the images in the names: not read as a fraction.")
+        stamps["name"] = [
+            stamp and replace(stamp, fraction_s=0.0, resolution_s=1.0) for stamp in stamps["name"]
+        ]
     if listed:
         report.lose("table_rows_without_image", len(listed))
         report.note(f"{len(listed)} rows of {times} name no image: {_names(sorted(listed))}.")
@@ -316,6 +340,19 @@ def read_image_stamps(
     unix_s, undeclared = _utc([stamp for _, stamp in chosen], offset_s)
     if undeclared and utc_offset is None:
         report.note(f"{undeclared} stamps state no offset from UTC: read as UTC.")
+    used = [head for (name, _), head in zip(chosen, heads, strict=True) if head and name == "exif"]
+    if changed := sum(head.of_change for head in used):
+        report.note(
+            f"{changed} stamps are of the last change of the file (EXIF DateTime): none of the exposure."
+        )
+    gps_s = [h.gps_unix_s if h else None for h in heads]
+    off = [t - g for t, g in zip(unix_s.tolist(), gps_s, strict=True) if g is not None and math.isfinite(t)]
+    if off and abs(shift_s := float(np.median(off))) > _MOST_GPS_S:
+        words = explain_shift(shift_s) or "no whole quarter of an hour"
+        report.note(
+            f"The stamps are {shift_s:+.0f} s from the times of GPS (UTC) in EXIF ({words}): if the clock "
+            "shows local time, give its offset from UTC."
+        )
     known = np.isfinite(unix_s)
     whole = np.floor(unix_s)
     t_device_s = np.full(len(files), np.nan)
@@ -343,6 +380,13 @@ def read_image_stamps(
             cure="Give the pattern of the names or a CSV table with the columns file and time_utc",
         )
     return ImageStamps(table=table.sort_values("t_device_s", kind="stable", ignore_index=True), report=report)
+
+
+def _are_counters(stamps: Sequence[CivilStamp | None]) -> bool:
+    """Whether three digits behind the second grow by one from name to name: a counter, not milliseconds."""
+    known = [stamp for stamp in stamps if stamp is not None and stamp.resolution_s == 1e-3]
+    steps = np.diff([round(stamp.fraction_s * 1e3) for stamp in known])
+    return len(known) == len(stamps) > 3 and bool((steps == 1).all())
 
 
 def _triggers(path: Path, names: Sequence[str], report: IntegrityReport) -> dict[str, CivilStamp] | None:
@@ -500,6 +544,8 @@ def _describe(table: pd.DataFrame, report: IntegrityReport) -> None:
         report.t_first_s, report.t_last_s = float(ordered[0]), float(ordered[-1])
         report.timing.describe_stamps(ordered, float(units.max()))
         report.gaps = find_gaps(ordered)
+        if doubt := doubtful_date(ordered).partition(" A week counter")[0]:
+            report.note(f"{doubt} Was the clock of the camera set?")
     if report.timing.period_s:
         report.rates_hz["images"] = 1.0 / report.timing.period_s
     if len(units) > 1 or (units.size and units.max() >= 1.0):

@@ -10,6 +10,9 @@ from thalweg.ingest import PositionLog
 from thalweg.ingest.registry.base import Format
 from thalweg.ingest.registry.calibrations import CalibrationReport, is_text
 
+_OF_PICTURES: Final = (b"heic", b"heix", b"heim", b"heis", b"mif1", b"msf1", b"avif", b"avis")
+"""Brands of containers (ISO/IEC 14496-12) that hold photographs (23008-12), no videos."""
+
 
 def _is_humminbird(head: bytes, size: int) -> bool:
     """Records of a channel (SON), places of these in it and their times (IDX), or the head of all (DAT)."""
@@ -63,10 +66,16 @@ CONVERTED: Final = tuple(
             lambda head, size: head.startswith(b"YDFF") and b"Sontek" in head[:16],
         ),
         (
+            "heif",
+            "photograph as HEIF (HEIC, AVIF)",
+            "not read: convert it to JPEG that keeps its EXIF, or set the camera to JPEG",
+            lambda head, size: head[4:8] == b"ftyp" and head[8:12] in _OF_PICTURES,
+        ),
+        (
             "video",
             "video (MP4, MOV)",
             "`thalweg frames` makes photographs of it with a table of their times",
-            lambda head, size: head[4:8] == b"ftyp",
+            lambda head, size: head[4:8] == b"ftyp" and head[8:12] not in _OF_PICTURES,
         ),
     )
 )

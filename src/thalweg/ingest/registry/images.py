@@ -83,7 +83,8 @@ def _photograph(kind: str, files: list[Path], options: dict[str, Any]) -> Positi
         report.note(error.found)
     else:
         known = stamps.table["source"][0]
-        report.details["time"] = _civil(head.stamp) if known == "exif" else f"from {known}"
+        changed = ", of the last change of the file" if head.of_change else ""
+        report.details["time"] = _civil(head.stamp) + changed if known == "exif" else f"from {known}"
         report.details["gps time"] = f"{stamps.table['t_device_s'][0]:.3f} s less 1e9"
     return PositionLog(report=report)
 
