@@ -7,7 +7,7 @@ import laspy
 import numpy as np
 import pandas as pd
 import pytest
-from pyproj import CRS
+from pyproj import CRS, Transformer
 
 from thalweg.bathymetry import Levels, read_soundings
 from thalweg.core import GPS_EPOCH_UNIX_S, InputError, ThalwegError, read_opencv
@@ -48,6 +48,12 @@ def soundings(path: Path, crs: CRS | None = UTM) -> np.ndarray:
         ("ft_depth", 0.3048),
         ("depth (')", 0.3048),
         ("depthm", 1.0),
+        ('"Depth (ft, MLLW)"', 0.3048),
+        ("Depth (in feet below surface)", 0.3048),
+        ("Depth (U.S. survey ft)", 1200 / 3937),
+        ("Profundidad (pies)", 0.3048),
+        ("depth (m NHN)", 1.0),
+        ("depth (200 kHz)", 1.0),
     ],
 )
 def test_units_anywhere_in_a_name(tmp_path, name, unit_m):
@@ -56,8 +62,43 @@ def test_units_anywhere_in_a_name(tmp_path, name, unit_m):
 
 
 @pytest.mark.parametrize(
+    "name", ["depth (ft/10)", "depth (0.1 m)", "depth (fathoms & feet)", "depth (cm x 10)"]
+)
+def test_units_that_are_no_single_one(tmp_path, name):
+    with pytest.raises(InputError, match="expected a unit of length"):
+        soundings(rows(tmp_path / "t.csv", f"x,y,{name}", EAST, NORTH, DEPTH))
+
+
+def test_units_between_blanks(tmp_path):
+    """Where blanks separate the columns, a unit in brackets is no name of its own."""
+    table = pd.DataFrame({"x": EAST, "y": NORTH, "d": DEPTH / 0.3048})
+    (tmp_path / "t.txt").write_text(
+        f"East (m) North (m) Depth (ft)\n{table.to_string(index=False, header=False)}"
+    )
+    assert soundings(tmp_path / "t.txt") == pytest.approx(-DEPTH, abs=1e-5)
+
+
+@pytest.mark.parametrize(
+    "head",
+    [
+        "x,y,depth\nm,m,ft MLLW",
+        "latitude,longitude,depth\ndegrees_north,degrees_east,ft",
+        "Date,Time,x,y,depth\nyyyy-mm-dd,hh:mm:ss,m,m,ft",
+    ],
+)
+def test_units_below_the_names(tmp_path, head):
+    day = [["2024-06-12"] * N, [f"10:00:{k:02d}" for k in range(N)]] if head.startswith("Date") else []
+    lon, lat = Transformer.from_crs(UTM, 4326, always_xy=True).transform(EAST, NORTH)
+    places = [lat, lon] if head.startswith("lat") else [EAST, NORTH]
+    path = rows(tmp_path / "t.csv", head, *day, *places, DEPTH / 0.3048)
+    assert soundings(path) == pytest.approx(-DEPTH, abs=1e-6)
+
+
+@pytest.mark.parametrize(
     ("above", "below", "head", "words"),
     [
+        ("# depths in feet\n", "", "x_m,y_m,depth", "depths in feet"),
+        ("# Einheit Tiefe: cm\n", "", "x,y,Tiefe", "Einheit Tiefe"),
         ("# depths are given in ft\n", "", "x,y,depth", "depths are given in ft"),
         ("# Depth [ft], position [m]\n", "", "x,y,depth", "name no unit"),
         ("", "# units: feet\n", "x,y,depth", "units: feet"),
@@ -99,6 +140,16 @@ def test_a_column_of_units_beside_points_of_a_gis(tmp_path):
     (tmp_path / "a.geojson").write_text(json.dumps({"type": "FeatureCollection", "features": features}))
     with pytest.raises(InputError, match="unit: ft"):
         read_places(tmp_path / "a.geojson", UTM)
+
+
+@pytest.mark.parametrize("name", ["depth units", "Units of depth", "Linear Unit"])
+def test_columns_of_units(tmp_path, name):
+    with pytest.raises(InputError, match="ft' beside columns that name no unit"):
+        soundings(rows(tmp_path / "t.csv", f"x,y,depth,{name}", EAST, NORTH, DEPTH, ["ft"] * N))
+    found = soundings(
+        rows(tmp_path / "t.csv", "x,y,depth,Antenna height unit", EAST, NORTH, DEPTH, ["ft"] * N)
+    )
+    assert found == pytest.approx(-DEPTH)
 
 
 def test_names_above_a_remark_and_a_row_of_means(tmp_path):

@@ -175,6 +175,12 @@ _HOURS: Final = (
 )
 _ZONES: Final = {name: float(first) for first, *names in map(str.split, _HOURS.split("|")) for name in names}
 """Names of zones of time that mean one of them -> hours before UTC."""
+_OF_HEIGHTS: Final = re.compile(r"(?i)\b(?:depths?|heights?|elevations?|soundings?|z|tiefen?|höhen?)\b")
+_OF_UNITS: Final = re.compile(
+    r"(?:(?:depth|height|elevation|altitude|z|linear|length|vertical|tiefen?|höhen?|hoehen?)_?)?"
+    r"(?:units?|uom|einheit)(?:_(?:depth|height|elevation|z))?"
+)
+"""Names of columns that hold the unit of others."""
 _OFFSET: Final = re.compile(r"(?:\b(?:UTC|GMT)\s?|^)([+-])(1[0-4]|0?\d):?([0-5]\d)?(?!\w)")
 _DAY_COUNTS: Final = {
     "days since 1899-12-30 (Excel)": 25_569.0,
@@ -213,6 +219,39 @@ _LONGEST_NAME: Final = 200
 """Letters of a column's name; the first line of what is no table may be one of a megabyte."""
 
 
+_SCALE: Final = re.compile(r"(?<!\d)[x×*/]\s*[\d.]+|^(?:1/|0?\.)\d+\s*[a-z]", re.IGNORECASE)
+"""Tenths of a unit and the like: ``ft/10``, ``x 0.1 m``, ``1/10 ft``, ``0.1 m``."""
+
+
+def _in_brackets(text: str) -> tuple[Unit | None, str]:
+    """The unit of length in the words behind a name, and what they state that is none.
+
+    Examples
+    --------
+    >>> _in_brackets("ft, MLLW")[0].name, _in_brackets("in US survey feet below datum")[0].name
+    ('foot', 'US survey foot')
+    >>> _in_brackets("x0.1 ft"), _in_brackets("mbar"), _in_brackets("200 kHz")
+    ((None, 'x0.1 ft'), (None, 'mbar'), (None, ''))
+    """
+    word = text.strip().lower()
+    if (unit := unit_of_word(text)) is not None:
+        return unit, ""
+    if word in _NO_LENGTHS:
+        return None, word
+    pieces, units, k = re.split(r"[\s,;:&+]+", word), set(), 0
+    if "deg" in word or "dd" in pieces or "ddd" in pieces:  # whose minutes are mm
+        return None, ""
+    while k < len(pieces):
+        parts = [(n, unit_of_word(" ".join(pieces[k : k + n]))) for n in (3, 2, 1)]
+        n, unit = next((each for each in parts if each[1] is not None), (1, None))
+        if unit is not None and pieces[k : k + n] != ["in"]:
+            units.add(unit)
+        k += n
+    if len(units) > 1 or (_SCALE.search(word) and any(unit_of_word(w) for w in re.findall("[a-z]+", word))):
+        return None, word
+    return next(iter(units), None), ""
+
+
 def column_of(name: str) -> Column:
     """What the name of a column says.
 
@@ -224,14 +263,14 @@ def column_of(name: str) -> Column:
     ('depth', 'US survey foot')
     >>> column_of("POINT_Z").words, column_of("DEPTHFT").unit.name, column_of("depth_ft_avg").unit.name
     ('z', 'foot', 'foot')
+    >>> column_of("Depth (ft, MLLW)").unit.name, column_of("Depth (ft/10)").foreign
+    ('foot', 'ft/10')
     """
     bare = name.strip()[:_LONGEST_NAME].strip("\"'").strip()
     unit, foreign, rest = None, "", re.sub(r"(?i)\b(?:[xyz]|date)/(?=\w\w)", "", bare)
     if bracket := re.search(r"[(\[{<]([^)\]}>]*)[)\]}>]\s*$", rest):
         rest = rest[: bracket.start()]
-        unit = unit_of_word(bracket[1])
-        word = bracket[1].strip().lower()
-        foreign = word if unit is None and word in _NO_LENGTHS else ""
+        unit, foreign = _in_brackets(bracket[1])
     split = re.sub(r"([a-zäöüß])([A-ZÄÖÜ])", r"\1 \2", rest)
     tokens = re.findall(r"[^\W\d_]+", re.sub(r"([A-Z]+)([A-Z][a-z])", r"\1 \2", split).lower())
     if unit is None and not foreign:
@@ -1019,8 +1058,9 @@ def _remarks(text: str, above: Sequence[str], table: Table) -> list[tuple[int, s
         if re.search(r"[^\W\d_]{3}", words[n]) and not _are_units(re.split(r"[,;|\s]+", found[n]))
     }
     for k, column in enumerate(table.columns):
-        if re.fullmatch(r"(?:depth_)?(?:units?|uom|einheit)", column.words):
-            said |= {int(n): f"unit: {cell}" for n, cell in zip(table.line, table.text(k), strict=True)}
+        if _OF_UNITS.fullmatch(column.words):
+            what = column.words.replace("_", " ")
+            said |= {int(n): f"{what}: {cell}" for n, cell in zip(table.line, table.text(k), strict=True)}
     return list(said.items())
 
 
@@ -1029,10 +1069,13 @@ def _heed(remarks: Sequence[tuple[int, str]], table: Table) -> Table:
 
     What may matter and is not read, such as a draught, a datum or a zone of time, is quoted.
     """
-    bare = all(column.unit is None for column in table.columns)
+    named = [column for column in table.columns if column.unit is not None]
+    upright = {*f"{NAMES['depth']} {NAMES['height']}".split()}
+    bare = not any(column.words in upright for column in named)
     codes = set()
     for number, line in remarks:
-        if bare and unit_in_words(line) is not None:
+        # beside x_m, y_m a unit of depths is still missing
+        if (not named or (bare and _OF_HEIGHTS.search(line))) and unit_in_words(line) is not None:
             raise InputError(
                 f"'{line[:60]}' beside columns that name no unit: {table.listed()}",
                 expected="a unit behind the name of each column that it is meant for, such as depth_ft",
@@ -1200,6 +1243,8 @@ def _header(
         if row and not units and _are_units(row):
             units = row
         elif row and len(row) >= max(1, usual - 1) and not any(values[k]):
+            if separator == r"\s+" and len(row) > usual:  # a unit in brackets belongs to the name before it
+                row = re.split(r"\s+(?![(\[])(?![^(\[]*[)\]])", " ".join(row))
             return row, units, first
         elif row and not 0 <= named < k:  # a remark between the names and the numbers
             break
@@ -1223,10 +1268,13 @@ def _are_units(row: Sequence[str]) -> bool:
     """Whether a line below the names holds units."""
     words = [c.strip("()[]{}").lower() for c in row if c]
     known = [
-        unit_of_word(w) is not None
+        unit_of_word(re.split(r"[\s,]", w)[0]) is not None  # ft MLLW
+        or unit_of_word(w) is not None
         or not w.strip("-=_")
         or w in _NO_LENGTHS
-        or w in {"deg", "°", "degrees", "-", "1", "utc"}
+        or re.fullmatch(
+            r"°|-|1|utc|(?:decimal )?deg(?:rees?)?(?:[_ ](?:north|east))?|[ymdhs]+([-/:.][ymdhs]+)+", w
+        )
         for w in words
     ]
     return bool(words) and all(known)
@@ -1318,11 +1366,9 @@ def _with_units(columns: tuple[Column, ...], below: Sequence[str]) -> tuple[Colu
     """The columns with the units of a line below their names."""
     out = list(columns)
     for k, word in enumerate(below[: len(out)]):
-        bare = word.strip("()[]{}").lower()
-        if (unit := unit_of_word(bare)) is not None:
-            out[k] = replace(out[k], unit=unit)
-        elif bare in _NO_LENGTHS:
-            out[k] = replace(out[k], foreign=bare)
+        unit, foreign = _in_brackets(word.strip("()[]{}"))
+        if unit is not None or foreign:
+            out[k] = replace(out[k], unit=unit, foreign=foreign)
     return tuple(out)
 
 
