@@ -152,6 +152,58 @@ def test_columns_of_units(tmp_path, name):
     assert found == pytest.approx(-DEPTH)
 
 
+@pytest.mark.parametrize(
+    ("head", "second"), [("x,y,depth_m", "x,y,depth_ft"), ("id,x,y,depth,sigma", "no,x,y,sigma,depth")]
+)
+def test_a_second_header_that_means_others(tmp_path, head, second):
+    columns = dict(zip(("x", "y", "depth"), (EAST, NORTH, DEPTH), strict=True))
+    values = [columns.get(name.split("_")[0], np.full(N, 0.5)) for name in head.split(",")]
+    below = second + "\n" + pd.DataFrame(dict(enumerate(values))).to_csv(index=False, header=False)
+    with pytest.raises(InputError, match="a second header with other columns"):
+        soundings(rows(tmp_path / "t.csv", head, *values, below=below))
+
+
+@pytest.mark.parametrize(
+    ("head", "more", "side"),
+    [
+        ("lat,Longitude (W)", [], (1, -1)),
+        ("lat,lon (+W)", [], (1, -1)),
+        ("Latitude (South),lon", [], (-1, 1)),
+        ("lat,lon (E/W)", [], (1, 1)),
+        ("lat,lon (W negative)", [], (1, 1)),
+        ("lat,lon,NS,EW", ["S", "W"], (-1, -1)),
+        ("lat,lon,remark,lat_ref,lon_ref", ["", "S", "W"], (-1, -1)),
+        ("lat,lon,remark,bank", ["", "W"], (1, 1)),
+    ],
+)
+def test_hemispheres_by_names_and_letters(tmp_path, head, more, side):
+    path = rows(tmp_path / "t.csv", head, [33.5] * 4, [70.25] * 4, *([each] * 4 for each in more))
+    table = read_text_table(path)
+    assert (table.angles("lat")[0], table.angles("lon")[0]) == (33.5 * side[0], 70.25 * side[1])
+
+
+@pytest.mark.parametrize("form", ["(ddmm.mmmm)", "(dd.mmss)", "(DMS)"])
+def test_degrees_and_minutes_in_one_number(tmp_path, form):
+    path = rows(tmp_path / "t.csv", f"Latitude {form},Longitude {form}", [15.0045] * 4, [45.2545] * 4)
+    with pytest.raises(InputError, match="numbers such as"):
+        read_text_table(path).angles("lat")
+    path = rows(tmp_path / "t.csv", f"Latitude {form};Longitude {form}", ["15 0.27;45 15.27"] * 4)
+    assert read_text_table(path).angles("lat")[0] == pytest.approx(15.0045)
+
+
+@pytest.mark.parametrize("name", ["Depth QC", "is_valid", "status", "deleted", "Solution status"])
+def test_columns_that_may_mark_rows(tmp_path, name):
+    path = rows(tmp_path / "t.csv", f"x,y,depth,{name}", EAST, NORTH, DEPTH, np.arange(N) % 2)
+    assert f"column {name} may mark rows that do not count: it is not read" in read_text_table(path).notes
+
+
+@pytest.mark.parametrize("word", ["AVG", "Mittelwert", "Maximum:"])
+def test_rows_of_totals(tmp_path, word):
+    below = f"{word},412027,5650018,2.5\n"
+    path = rows(tmp_path / "t.csv", "id,x,y,depth", range(N), EAST, NORTH, DEPTH, below=below)
+    assert len(soundings(path)) == N
+
+
 def test_names_above_a_remark_and_a_row_of_means(tmp_path):
     """A line between names and numbers hides no names; the mean at the end is no sounding."""
     path = rows(
@@ -188,6 +240,13 @@ def test_a_deep_place_and_coarse_numbers_are_no_stand_ins():
         ("time", "2024-06-12 10:00:{:02d} UTC", TEN),
         ("time", "2024-06-12 12:00:{:02d}+02", TEN),
         ("time,timezone", "2024-06-12 12:00:{:02d},Europe/Berlin", TEN),
+        ("time,utc_offset", "2024-06-12 15:30:{:02d},+5.5", TEN),
+        ("time,utc_offset", "2024-06-12 12:00:{:02d},2", TEN),
+        ("time,utc_offset", "2024-06-12 07:00:{:02d},-180", TEN),
+        ("time,tz", "2024-06-12 12:00:{:02d},+0200", TEN),
+        ("time (UTC + 2)", "2024-06-12 12:00:{:02d}", TEN),
+        ("time (GMT+2h)", "2024-06-12 12:00:{:02d}", TEN),
+        ("time,time_utc", "2024-06-12 12:00:{:02d},2024-06-12T10:00:00Z", TEN),
         ("week,tow", "2318,2952180{:02d}", TEN + 0.0),
     ],
 )
@@ -197,6 +256,31 @@ def test_zones_that_a_table_states(tmp_path, head, cells, unix_s):
     told = read_text_table(path).times()
     assert told[0][0] == pytest.approx(unix_s, abs=1e-6)
     assert "state no zone" not in " ".join(told[1])
+
+
+def test_zones_that_change_with_the_rows(tmp_path):
+    path = tmp_path / "t.csv"
+    path.write_text("time,tz,x\n2024-10-27 02:59:58,CEST,1\n2024-10-27 02:00:02,CET,1\n")
+    assert np.diff(read_text_table(path).times()[0]) == pytest.approx(4.0)
+    path.write_text("time,tz,x\n2024-06-12 11:00:00,BST,1\n2024-06-12 11:00:01,BST,1\n")
+    with pytest.raises(InputError, match="'BST' in column tz"):
+        read_text_table(path).times()
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("time (BST),x\n2024-06-12 11:00:00,1\n", "'time (BST)' may mean another clock or zone"),
+        ("# Zeitzone: MESZ/MEZ\ntime,x\n2024-06-12 11:00:00,1\n", "may mean another clock or zone"),
+        (
+            "time,x\n06/13/2024 10:00,1\n06/13/2024 10:01,2\n2024-06-13 10:02,3\n",
+            "1 times of column time are not",
+        ),
+    ],
+)
+def test_times_that_may_be_others_are_noted(tmp_path, text, words):
+    (tmp_path / "t.csv").write_text(text)
+    assert words in " ".join(read_text_table(tmp_path / "t.csv").times()[1])
 
 
 @pytest.mark.parametrize("first", [25_569.0, 719_529.0, 2_440_587.5, 40_587.0])
@@ -223,6 +307,9 @@ def test_two_digits_that_may_be_the_year(tmp_path):
     path.write_text("time,x\n" + "".join(f"24-06-12 10:00:{k:02d},1\n" for k in range(9)))
     with pytest.raises(InputError, match="may be the year"):
         read_text_table(path).times()
+    path.write_text("time,x\n24.06.12 10:00:00,1\n24.06.13 10:00:00,1\n")
+    with pytest.raises(InputError, match="may be the year"):
+        read_text_table(path).times()
     path.write_text("time,x\n" + "".join(f"24-06-{k:02d} 10:00:00,1\n" for k in range(11, 20)))
     told = read_text_table(path).times()
     assert told[0][1] == pytest.approx(TEN)
@@ -236,6 +323,9 @@ def test_two_digits_that_may_be_the_year(tmp_path):
         "Datum;Uhrzeit;Pegel\n12.06.2024;09:00;100,0\n12.06.2024;11:00;102,0\n",
         "time (MESZ),level\n2024-06-12T11:00,100.0\n2024-06-12T13:00,102.0\n",
         "2024-06-12T09:00,100.0\n2024-06-12T11:00,102.0\n",
+        "dateTime,value,quality\n2024-06-12T09:00,100.0,40\n2024-06-12T11:00,102.0,40\n",
+        "Zeit;Wert;Status\n2024-06-12T09:00;100,0;1\n2024-06-12T11:00;102,0;1\n",
+        "time,W,Q\n2024-06-12T09:00,100.0,7.5\n2024-06-12T11:00,102.0,7.6\n",
     ],
 )
 def test_levels_by_their_names(tmp_path, text):

@@ -123,8 +123,15 @@ _ALIKE: Final = 0.8
 """Share of the lines that a separator must cut into the same number of cells."""
 _MOST_GARBLED: Final = 0.05
 """Share of cells without a number beyond which a column is refused rather than thinned."""
-_TOTALS: Final = frozenset(["total", "sum", "summe", "mean", "average", "mittel", "min", "max", "std"])
-_OF_ROWS: Final = "flag qc quality valid withheld rejected accepted class classification"
+_OF_TOTALS: Final = (
+    "total sum summe mean average avg mittel mittelwert moyenne media promedio median min max minimum "
+    "maximum std stdev count anzahl"
+)
+_TOTALS: Final = frozenset(_OF_TOTALS.split())
+_OF_ROWS: Final = (
+    "flag flags qc qf quality valid withheld rejected reject accepted class classification status deleted "
+    "outlier outliers suspect bad excluded exclude edited use used"
+)
 _FLAGS: Final = frozenset(_OF_ROWS.split())
 """Names of columns that may say which rows count."""
 _LAST_ROWS: Final = 10
@@ -181,7 +188,14 @@ _OF_UNITS: Final = re.compile(
     r"(?:units?|uom|einheit)(?:_(?:depth|height|elevation|z))?"
 )
 """Names of columns that hold the unit of others."""
-_OFFSET: Final = re.compile(r"(?:\b(?:UTC|GMT)\s?|^)([+-])(1[0-4]|0?\d):?([0-5]\d)?(?!\w)")
+_OFFSET: Final = re.compile(
+    r"(?:\b(?:UTC|GMT)\s?|^)([+-])\s?(1[0-4]|0?\d)(?::?([0-5]\d)|\.(\d+))?\s?(?:h|hours?)?(?!\w)"
+)
+_OTHER_CLOCK: Final = re.compile(
+    r"(?i:gps|local|lokal|ortszeit|sommer|winter|summer|standard|daylight|pacific|eastern|mountain|central|\btai\b|"
+    r"(?<=\()(?!u|z)(?:[a-z]{1,3}t|msk)(?=\)))|(?i:zone|zeitzone)\W+(?!UTC|GMT)[A-Z]{2,4}\b|\bMES?Z\b|\bCES?T\b"
+)
+"""Words beside times that mean another clock than UTC, which nobody can tell from them."""
 _DAY_COUNTS: Final = {
     "days since 1899-12-30 (Excel)": 25_569.0,
     "modified Julian days": 40_587.0,
@@ -191,6 +205,13 @@ _DAY_COUNTS: Final = {
 """Counts of days -> their number on 1970-01-01."""
 _FEWEST_STEP: Final = 0.005
 """No sounder and no receiver writes rows of a table so fast, in seconds: smaller steps are days."""
+_PACKED: Final = re.compile(r"(?i)[(\[_ ]d+[.°]?m[m.]|[(\[_ ](?:dms|ddm|dmm)\b")
+"""Names of angles whose minutes follow the degrees in one number."""
+_NEGATIVE: Final = {"lat": {"s", "south", "süd"}, "lon": {"w", "west", "ouest", "oeste"}}
+_EITHER: Final = {"n", "north", "e", "east", "neg", "negative", "positive"}
+"""Words in the name of an angle: counted to the other side, or the sign tells."""
+_OF_SIDES: Final = re.compile(r"(?i)hemi|[_ ](?:ref|dir)|^(?:n\W?s|e\W?w)$|^(?:lat|lon)\w*[ _](?:ns|ew)")
+"""Names of columns with the letters N, S, E, W that do not stand beside their angles."""
 _ANGLE: Final = re.compile(
     r"\s*([NSEW])?\s*([-+−]?\d+(?:[.,]\d+)?)\s*(?:[°d:\s]\s*(\d+(?:[.,]\d+)?)\s*(?:['′m:\s]\s*(\d+(?:[.,]\d+)?)\s*(?:''|\"|″|s)?)?)?"
     r"\s*['′°]?\s*([NSEW])?\s*",
@@ -683,6 +704,13 @@ class Table:
             values[row] = _angle(cells.iloc[row], letters)
         values[is_nothing(values, "position")] = np.nan
         values *= _ANGLES.get(self.columns[k].foreign, 1.0)
+        if _PACKED.search(self.columns[k].name) and np.isfinite(self._parsed(cells)).mean() > 0.5:
+            raise InputError(
+                f"numbers such as {cells.iloc[0]} in column {self.columns[k].name}",
+                where=self.path,
+                expected="decimal degrees, or blanks between degrees and minutes",
+                cure="Write decimal degrees: degrees and minutes in one number cannot be told from these",
+            )
         none = ~np.isfinite(values)
         if none.mean() > _MOST_GARBLED and not cells[none].str.lower().isin(WORDS).all():
             bad = int(np.flatnonzero(none)[0])
@@ -693,7 +721,15 @@ class Table:
                 cure="Write decimal degrees, or degrees, minutes and seconds with blanks between them",
             )
         self._lose("without a value", self.columns[k].name, none)
-        for beside in (c for c in (k - 1, k + 1) if 0 <= c < len(self.columns)):
+        said = set(re.findall(r"[a-z]+", self.columns[k].name.lower()))
+        if said & _NEGATIVE[quantity] and not said & _EITHER and not (values < 0).any():
+            values = -values
+            self.notes.append(
+                f"column {self.columns[k].name} counts to the {'south' if letters == 'NS' else 'west'}"
+            )
+        for beside, column in enumerate(self.columns):
+            if abs(beside - k) != 1 and not _OF_SIDES.search(column.name):
+                continue
             side = pd.Series(self.text(beside)).str.upper()
             if len(side) and side.isin([*letters, ""]).all() and side.isin(list(letters)).any():
                 values = np.where(side == letters[1], -np.abs(values), values)
@@ -729,7 +765,8 @@ class Table:
         ------
         InputError : days and months that may be exchanged.
         """
-        date, named, found = self.find("date"), self._all("time"), None
+        date, found = self.find("date"), None
+        named = sorted(self._all("time"), key=lambda k: "utc" not in self.columns[k].name.lower())
         columns: Sequence[int | None] = named or [None]
         for time in columns:
             found = self._moments(date, time)
@@ -763,6 +800,7 @@ class Table:
             return None
         name = self.columns[time if time is not None else date or 0].name
         text = parts[0] if len(parts) == 1 else parts[0].str.cat(parts[1], sep=" ")
+        written = text
         none = f"column {name} is not read: '{text.iloc[0] if len(text) else ''}' is no time with a date"
         number = pd.to_numeric(text, errors="coerce").to_numpy(np.float64)
         if np.isfinite(number).mean() > 0.5:
@@ -797,16 +835,20 @@ class Table:
         notes = []
         if not text.str.contains(r"(?:Z|:\d\d[.\d]*[+-]\d\d(?::?\d\d)?)$", regex=True).any():
             said = [name, *(line for line in self.remarks if re.search(r"(?i)time|zone|uhr", line))]
-            said += [self.text(k)[0] for k, c in enumerate(self.columns) if c.words in _OF_ZONES]
+            of_rows = next((k for k, c in enumerate(self.columns) if c.words in _OF_ZONES), None)
             zone = zone or next((each for each in map(_zone, said) if each is not None), None)
-            if zone is not None:
+            if of_rows is not None and not own:
+                moment = self._in_zones(moment, of_rows)
+                notes.append(f"times are in the zones of column {self.columns[of_rows].name}")
+            elif zone is not None:
                 moment = moment.dt.tz_localize(None).dt.tz_localize(zone, ambiguous="NaT", nonexistent="NaT")
                 moment = moment.dt.tz_convert("UTC")
                 notes.append(f"times are in the zone {zone}, as the table says")
             elif not (own or re.search(r"\b(?:UTC|GMT)\b", name)):
                 notes.append("times state no zone: taken as UTC")
-                if other := next((words for words in said if re.search(r"(?i)gps|local", words)), ""):
-                    notes.append(f"'{other[:60]}' may mean another clock: GPS time is 18 s ahead of UTC")
+                if other := next((words for words in said if _OTHER_CLOCK.search(words)), ""):
+                    ahead = ": GPS time is 18 s ahead of UTC" if "gps" in other.lower() else " or zone"
+                    notes.append(f"'{other[:60]}' may mean another clock{ahead}")
         unix = moment.dt.tz_localize(None).to_numpy("datetime64[ns]").astype(np.int64) / 1e9
         unix[moment.isna()] = np.nan
         back = np.diff(unix)
@@ -820,16 +862,60 @@ class Table:
             notes.append(
                 f"times pass midnight and the date in column {self.columns[date or 0].name} stays: next day"
             )
+        if 0 < (lost := int(moment.isna().sum())) < len(moment):
+            first = int(np.argmax(moment.isna()))
+            notes.append(f"{lost:,} times of column {name} are not read, the first '{written.iloc[first]}'")
         if (unix[moment.notna()] % DAY_S == 0.0).all():
             notes = [f"column {name} holds days without a time: midnight of UTC is taken"]
         return np.where(moment.notna() & possible_unix(unix), unix, np.nan), notes
+
+    def _in_zones(self, moment: "pd.Series[Any]", k: int) -> "pd.Series[Any]":
+        """Times in UTC of times by the clock, in the zone that a column has for each row.
+
+        Raises
+        ------
+        InputError : a zone that is not known.
+        """
+        texts, local = pd.Series(self.text(k)), moment.dt.tz_localize(None)
+        out = moment.copy()
+        for text in texts.unique():
+            zone = _zone(text)
+            if _NUMBER.fullmatch(text) and not re.fullmatch(r"[+-]\d{4}", text):  # hours, minutes, seconds
+                size = float(text)
+                per_hour = next(u for u, most in ((1, 14), (60, 840), (3600, np.inf)) if abs(size) <= most)
+                quarters = 4 * size / per_hour
+                zone = (
+                    dt.timezone(dt.timedelta(hours=size / per_hour))
+                    if quarters % 1 == 0 and abs(quarters) <= 56
+                    else None
+                )
+            elif not text or {*re.findall("[A-Z]+", text)} & {"UTC", "GMT", "Z"}:
+                zone = zone or dt.UTC
+            if zone is None:
+                raise InputError(
+                    f"'{text}' in column {self.columns[k].name}",
+                    where=self.path,
+                    expected="a zone of time, such as UTC+2, CEST or Europe/Berlin",
+                    cure="Write it so, or the times in UTC",
+                )
+            rows = (texts == text).to_numpy()
+            of = local[rows].dt.tz_localize(zone, ambiguous="NaT", nonexistent="NaT")
+            out[rows] = of.dt.tz_convert("UTC")
+        return out
 
     def _iso(self, text: "pd.Series[str]", found: pd.DataFrame) -> "pd.Series[str]":
         """Times with year, month and day in the order of ISO 8601."""
         a, b, year = (pd.to_numeric(found[k], errors="coerce") for k in (0, 2, 3))
         point = (found[1] == ".").any()
-        if not point and b.max() <= 12 and year.max() <= 31 and a.nunique() == 1 and a.max() <= _LAST_YEAR:
-            if year.nunique() == 1 and a.max() != year.max():
+        last = year.nunique() > 1
+        if (
+            (last or not point)
+            and b.max() <= 12
+            and year.max() <= 31
+            and a.nunique() == 1
+            and a.max() <= _LAST_YEAR
+        ):
+            if last == point and a.max() != year.max():
                 raise InputError(
                     f"dates such as {text.iloc[0]}, in which the first or the last number may be the year",
                     where=self.path,
@@ -918,10 +1004,10 @@ def _zone(text: str) -> dt.tzinfo | None:
         with contextlib.suppress(ZoneInfoNotFoundError, OSError, ValueError):
             return ZoneInfo(found[0])
     if found := _OFFSET.search(text):
-        minutes = 60 * int(found[2]) + int(found[3] or 0)
+        minutes = 60 * int(found[2]) + int(found[3] or 0) + round(60 * float(f"0.{found[4] or 0}"))
         return dt.timezone(dt.timedelta(minutes=-minutes if found[1] == "-" else minutes))
-    hours = next((_ZONES[word] for word in re.findall(r"[A-Z]+", text) if word in _ZONES), 0.0)
-    return dt.timezone(dt.timedelta(hours=hours)) if hours else None
+    hours = {_ZONES[word] for word in re.findall(r"[A-Z]+", text) if word in _ZONES}
+    return dt.timezone(dt.timedelta(hours=hours.pop())) if len(hours) == 1 and any(hours) else None
 
 
 def _angle(text: str, letters: str) -> float:
@@ -1059,7 +1145,7 @@ def _remarks(text: str, above: Sequence[str], table: Table) -> list[tuple[int, s
     }
     for k, column in enumerate(table.columns):
         if _OF_UNITS.fullmatch(column.words):
-            what = column.words.replace("_", " ")
+            what = "depth unit" if _OF_HEIGHTS.search(column.words.replace("_", " ")) else "unit"
             said |= {int(n): f"{what}: {cell}" for n, cell in zip(table.line, table.text(k), strict=True)}
     return list(said.items())
 
@@ -1086,7 +1172,7 @@ def _heed(remarks: Sequence[tuple[int, str]], table: Table) -> Table:
         if matters(line):
             table.notes.append(f"line {number} says '{line[:80]}'")
     for k, column in enumerate(table.columns):
-        if column.words in _FLAGS and len({*table.text(k)}) > 1:
+        if _FLAGS & {*column.words.split("_")} and len({*table.text(k)}) > 1:
             table.notes.append(f"column {column.name} may mark rows that do not count: it is not read")
         if column.words in ("epsg", "srid"):
             codes |= {int(cell) for cell in {*table.text(k)} if re.fullmatch(r"\d{4,5}", cell)}
@@ -1323,7 +1409,7 @@ def _whole_rows(table: Table, head: list[str] | None, width: int) -> Table:
     """The table without repeated headers and without rows of more cells than there are columns."""
     cells = table.cells
     keep = np.ones(len(cells), dtype=np.bool_)
-    total = cells[0].str.lower().isin(_TOTALS).to_numpy(np.bool_).copy()
+    total = cells[0].str.lower().str.rstrip(":").isin(_TOTALS).to_numpy(np.bool_).copy()
     total[:-_LAST_ROWS] = False
     if total.any() and not total.all():
         table.losses["of a total or a mean"] = _count(total, table.line)
@@ -1334,10 +1420,19 @@ def _whole_rows(table: Table, head: list[str] | None, width: int) -> Table:
             table.losses["with the names of the columns again"] = _count(again, table.line)
             keep &= ~again
         names = cells[0].str.lower().isin([head[0].lower(), *(w for x in NAMES.values() for w in x.split())])
+        of_numbers = {w for q in ("east", "north", "lat", "lon", "height", "depth") for w in NAMES[q].split()}
+        k = next((k for k, c in enumerate(table.columns) if c.words in of_numbers), 0)
+        names |= cells[k].str.fullmatch(r"[^\W\d_]\D*") & ~cells[k].str.lower().isin(WORDS)
         for row in np.flatnonzero(names.to_numpy() & keep).tolist():
-            other = [column_of(c).words for c in cells.iloc[row] if c]
+            others = [column_of(c) for c in cells.iloc[row] if c]
+            other = [c.words for c in others]
             known = [w for w in other if any(w in x.split() for x in NAMES.values())]
-            if len(known) >= 2 and other != [c.words for c in table.columns][: len(other)]:
+            of_unit = [
+                a.name
+                for a, b in zip(others, table.columns, strict=False)
+                if a.unit is not None and b.unit is not None and a.unit != b.unit
+            ]
+            if len(known) >= 2 and (of_unit or other != [c.words for c in table.columns][: len(other)]):
                 raise InputError(
                     f"a second header with other columns: {', '.join(c for c in cells.iloc[row] if c)}",
                     where=f"{table.path}:{table.line[row]}",
