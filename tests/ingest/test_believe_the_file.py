@@ -115,6 +115,83 @@ def test_remarks_that_contradict(tmp_path, above, below, head, words):
     assert told.value.cure
 
 
+@pytest.mark.parametrize("name", ["Z (down)", "Z (+down)", "Elevation (m below datum)"])
+def test_heights_whose_name_counts_downwards(tmp_path, name):
+    with pytest.raises(InputError, match="and its name"):
+        soundings(rows(tmp_path / "t.csv", f"x,y,{name}", EAST, NORTH, DEPTH))
+
+
+@pytest.mark.parametrize(
+    ("head", "cells", "above", "words"),
+    [
+        ("x,y,depth,Zone", "32U", "", "in zone 32 by the file"),
+        ("x,y,depth,UTM Zone", [32, 33] * (N // 2), "", "in zone 32, 33 by the file"),
+        ("x,y,depth,id", 1, "# UTM zone 32N\n", "in zone 32 by the file"),
+        ("x,y,depth,CS name", "ETRS89 / UTM zone 32N", "", "EPSG:25832.*as stated"),
+        ("x,y,depth,Zone", [1, 2] * (N // 2), "# transformed from UTM 32 to UTM 33\n", ""),
+    ],
+)
+def test_zones_and_systems_that_contradict(tmp_path, head, cells, above, words):
+    path = rows(tmp_path / "t.csv", head, EAST, NORTH, DEPTH, cells, above=above)
+    if not words:
+        assert len(soundings(path)) == N
+        return
+    with pytest.raises(InputError, match=words):
+        soundings(path)
+
+
+def test_heights_in_the_unit_of_their_system(tmp_path):
+    """Feet of the US survey, by the name of the system beside each row, and by the one that is stated."""
+    foot = 1200 / 3937
+    east, north = (300_000 + EAST - EAST[0]) / foot, (65_000 + NORTH - NORTH[0]) / foot
+    name = "NAD83 / New York Long Island (ftUS) + NAVD88 height (ftUS)"
+    path = rows(tmp_path / "t.csv", "x,y,z,CS name", east, north, (100 - DEPTH) / foot, [name] * N)
+    for crs in (None, CRS(2263)):
+        assert soundings(path, crs) == pytest.approx(100 - DEPTH, abs=1e-6)
+    path = rows(tmp_path / "t.csv", "x,y,z", east, north, (100 - DEPTH) / foot)
+    assert soundings(path, CRS("EPSG:2263+6360")) == pytest.approx(100 - DEPTH, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("head", "above"), [("Latitude (NAD27),Longitude (NAD27)", ""), ("lat,lon", "# EPSG:4267\n")]
+)
+def test_degrees_of_another_datum(tmp_path, head, above):
+    """In Texas NAD27 lies 40 m from WGS 84; where no way is known the file is refused."""
+    path = rows(tmp_path / "t.csv", head, [30.2] * 4, [-98.5] * 4, above=above)
+    wgs84 = Transformer.from_crs(4326, 26914, always_xy=True).transform(-98.5, 30.2)
+    shift = np.linalg.norm(read_text_table(path).places(CRS(26914)).xy_m[0] - wgs84)
+    assert 30 < shift < 50
+    path = rows(tmp_path / "t.csv", head, [51.0] * 4, [13.7] * 4, above=above)
+    with pytest.raises(InputError, match="in NAD27, by the file"):
+        read_text_table(path).places(UTM)
+
+
+def test_x_that_a_system_counts_northwards(tmp_path):
+    path = rows(tmp_path / "t.csv", "x,y", [536_324.0] * 4, [438_711.0] * 4)
+    assert "in ETRF2000-PL / CS92 x is the northing" in read_text_table(path).places(CRS(2180)).notes[0]
+    path = rows(tmp_path / "t.csv", "east,north", [536_324.0] * 4, [438_711.0] * 4)
+    assert not read_text_table(path).places(CRS(2180)).notes
+
+
+def test_uncertainties_with_95_percent_or_none(tmp_path):
+    path = rows(
+        tmp_path / "t.csv", "x,y,depth,uncertainty (95%)", EAST, NORTH, DEPTH, [0.0] * 9 + [0.196] * 51
+    )
+    found = read_soundings(path, UTM, column=None, depth=None, level_m=None, line_column=None, sigma_m=0.02)
+    assert found.sigma_m == pytest.approx(0.1)
+    assert "9 rows with 0, which stands for no value, in column uncertainty" in " ".join(found.notes)
+    assert "divided by 1.96" in " ".join(found.notes)
+
+
+@pytest.mark.parametrize("name", ["tide (m)", "water_level", "heave", "draught"])
+def test_columns_that_may_be_in_the_depths(tmp_path, name):
+    path = rows(tmp_path / "t.csv", f"x,y,depth,{name}", EAST, NORTH, DEPTH, DEPTH)
+    found = read_soundings(
+        path, UTM, column="depth", depth=None, level_m=None, line_column=None, sigma_m=0.02
+    )
+    assert f"column {name} is not added: depths are taken from the water" in found.notes
+
+
 def test_remarks_that_are_used_or_quoted(tmp_path):
     """A map that the file states needs no statement; a draught that nobody adds is quoted."""
     above = "# EPSG:25833\n# draft 0.4 m not applied\n# cell size 1 m\n"

@@ -28,7 +28,7 @@ from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 import numpy as np
 import pandas as pd
 from pyproj import CRS, Transformer
-from pyproj.exceptions import CRSError
+from pyproj.exceptions import CRSError, ProjError
 
 from thalweg.core import (
     DAY_S,
@@ -175,6 +175,12 @@ _WORDED: Final = re.compile(
 """Clocks of twelve hours, and months by name."""
 _LAST_YEAR: Final = int(LEAP_TABLE_VALID_UNTIL[2:4])
 """Of two digits, that a date of a survey may have."""
+_FEW_SYSTEMS: Final = 3
+"""A column of more names holds no coordinate systems."""
+_OF_TODAY: Final = ("WGS 84", "GRS 1980")
+"""Ellipsoids of systems that differ from WGS 84 by a metre or two."""
+_UTM_ZONE: Final = re.compile(r"(?i)\bUTM\W*(?:zone\W*)?(\d\d?)(?!\d)")
+_OF_SYSTEMS: Final = ("epsg", "srid", "srs", "crs", "cs_name", "coordinate_system", "projection")
 _OF_ZONES: Final = ("timezone", "time_zone", "tz", "utc_offset", "utcoffset")
 _HOURS: Final = (
     "0 UTC GMT Z|1 CET MEZ|2 CEST MESZ EET|3 EEST|9 JST|10 AEST|11 AEDT|12 NZST|13 NZDT|-4 EDT|-5 EST CDT|"
@@ -212,6 +218,8 @@ _EITHER: Final = {"n", "north", "e", "east", "neg", "negative", "positive"}
 """Words in the name of an angle: counted to the other side, or the sign tells."""
 _OF_SIDES: Final = re.compile(r"(?i)hemi|[_ ](?:ref|dir)|^(?:n\W?s|e\W?w)$|^(?:lat|lon)\w*[ _](?:ns|ew)")
 """Names of columns with the letters N, S, E, W that do not stand beside their angles."""
+_OF_95: Final = re.compile(r"(?i)95|1[.,]96|\b2\W?(?:s|sd|std|sigma|σ)\b")
+"""Names of uncertainties that hold with 95 %."""
 _ANGLE: Final = re.compile(
     r"\s*([NSEW])?\s*([-+−]?\d+(?:[.,]\d+)?)\s*(?:[°d:\s]\s*(\d+(?:[.,]\d+)?)\s*(?:['′m:\s]\s*(\d+(?:[.,]\d+)?)\s*(?:''|\"|″|s)?)?)?"
     r"\s*['′°]?\s*([NSEW])?\s*",
@@ -361,7 +369,7 @@ class Table:
     cells : (n, k) texts without blanks around them.
     line : (n,) number of each row's line in the file, from 1.
     decimal, thousands : marks inside numbers; no ``thousands`` if empty.
-    code : EPSG code of the map that the file states.
+    code, degrees : EPSG codes of the map, and of latitudes and longitudes, that the file states.
     remarks : what the file says in words beside its rows.
     losses : rows that were not taken: reason -> their number and the first line; grows as columns are read.
     notes : what was assumed.
@@ -375,6 +383,7 @@ class Table:
     decimal: str = "."
     thousands: str = ""
     code: int | None = None
+    degrees: int | None = None
     remarks: tuple[str, ...] = ()
     losses: dict[str, tuple[int, int]] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
@@ -393,6 +402,15 @@ class Table:
             cells=cells.set_axis(range(frame.shape[1]), axis=1).reset_index(drop=True),
             line=np.arange(1, len(frame) + 1),
         )
+
+    def heights_in(self, unit: Unit) -> "Table":
+        """The same, with heights whose columns name no unit in that of their coordinate system."""
+        known = NAMES["height"].split()
+        columns = (
+            replace(c, unit=unit) if c.words in known and c.unit is None and not c.foreign else c
+            for c in self.columns
+        )
+        return replace(self, columns=tuple(columns))
 
     # -------------------------------- which column
 
@@ -490,9 +508,12 @@ class Table:
                 cure="Convert it to metres, or name another column",
             )
         down = next((line for line in (column.name, *self.remarks) if says_downwards(line)), None)
+        if down is None and re.search(r"(?i)\b(?:down(?:wards?)?|below)\b", column.name.replace("_", " ")):
+            down = column.name
         if quantity == "height" and down is not None and self.find("depth") is None:
             raise InputError(
-                f"heights in column {column.name}, and the remark '{down[:60]}'",
+                f"heights in column {column.name}, and "
+                + ("its name" if down == column.name else f"the remark '{down[:60]}'"),
                 where=self.path,
                 expected="heights, positive upwards",
                 cure="Call the column depth, or change its sign",
@@ -516,6 +537,13 @@ class Table:
                 self._lose(f"with {first} for a number", column.name, odd)
         kind = quantity if quantity in NOTHING else _KIND.get(quantity, "other")
         none = is_nothing(values, kind, nothing, keep) & np.isfinite(values)
+        if kind == "sigma":
+            none |= values <= 0
+            if _OF_95.search(column.name):
+                metres = metres / 1.96
+                self.notes.append(
+                    f"column {column.name} divided by 1.96, from 95 % to one standard deviation"
+                )
         if kind in ("depth", "height"):
             none |= _stand_ins(np.where(none, np.nan, values), keep)
         if none.any():
@@ -607,6 +635,8 @@ class Table:
             )
         if crs is None:
             crs = own_map
+        elif metric and not angular:
+            self._refuse_other_zones(crs)
         stated, unit_m = crs, 1.0
         if crs is not None:
             found = in_metres(crs)
@@ -633,10 +663,11 @@ class Table:
                     cure="Look whether the receiver had a fix",
                 )
             on = crs if crs is not None else utm_of(lon[known], lat[known])
-            east, north = Transformer.from_crs(4326, on, always_xy=True).transform(lon, lat)
+            way, said = self._way_of_degrees(on)
+            east, north = way.transform(lon, lat)
             xy = np.column_stack([east, north])
             xy[~known] = np.nan
-            notes = [f"latitude and longitude taken as WGS 84 and transformed to {on.name}"]
+            notes = [f"latitude and longitude {said} and transformed to {on.name}"]
             if crs is None:
                 notes[0] += ", the zone of UTM of the data"
             if not (metric and crs is not None):
@@ -653,6 +684,8 @@ class Table:
         e, n = (self.find(q) for q in ("east", "north"))
         assert e is not None
         assert n is not None
+        first = None if crs is None else crs.axis_info[0]
+        by_letter = {self.columns[e].words, self.columns[n].words} == {"x", "y"}
         if crs is None and not any_system:
             raise InputError(
                 f"columns {self.columns[e].name}, {self.columns[n].name} without a coordinate system",
@@ -662,6 +695,11 @@ class Table:
             )
         own = np.column_stack([self.numbers(e, "east"), self.numbers(n, "north")])
         notes = [x for x in self.unit_notes(e, n) if "converted" in x]
+        if by_letter and first is not None and (first.abbrev.lower(), first.direction) == ("x", "north"):
+            notes.append(
+                f"columns x, y are taken as east, north; in {crs and crs.name} x is the northing: name "
+                "them east and north if they are exchanged"
+            )
         if unit_m != 1.0 and stated is not None:
             if self.columns[e].unit is None:
                 own *= unit_m
@@ -684,6 +722,57 @@ class Table:
             self._lose("with 0, 0, which is no place,", "east, north", lost)
             own[lost] = np.nan
         return Places(own, crs, notes)
+
+    def _way_of_degrees(self, on: CRS) -> tuple[Transformer, str]:
+        """From latitude and longitude in the system that the file states, else WGS 84, to a map; in words.
+
+        Raises
+        ------
+        InputError : no transformation from another datum is known.
+        """
+        source = CRS.from_epsg(self.degrees or 4326)
+        if self.degrees in (None, 4326):
+            return Transformer.from_crs(4326, on, always_xy=True), "taken as WGS 84"
+        with contextlib.suppress(ProjError):
+            way = Transformer.from_crs(source, on, always_xy=True, allow_ballpark=False)
+            return way, f"are in {source.name}, as the file states,"
+        if source.ellipsoid is not None and source.ellipsoid.name in _OF_TODAY:
+            return Transformer.from_crs(4326, on, always_xy=True), f"in {source.name} taken as WGS 84"
+        raise InputError(
+            f"latitude and longitude in {source.name}, by the file",
+            where=self.path,
+            expected=f"a system from which a transformation to {on.name} is known",
+            cure="Transform them with the grid files of the land survey",
+        )
+
+    def _refuse_other_zones(self, crs: CRS) -> None:
+        """Refuse a zone of UTM that is not the one of a column of zones or of a remark.
+
+        Raises
+        ------
+        InputError : they differ, or the rows are of several.
+        """
+        if not crs.utm_zone:
+            return
+        own = int(crs.utm_zone[:-1])
+        remarks = {int(zone) for line in self.remarks for zone in _UTM_ZONE.findall(line)}
+        said = set() if own in remarks else remarks
+        for k, column in enumerate(self.columns):
+            if column.words in ("zone", "utm_zone", "zone_utm"):
+                cells = {*self.text(k)}
+                told = {
+                    int(found[1]) for c in cells if (found := re.fullmatch(r"(?:UTM)?\s?(\d\d?)\s?[A-Z]?", c))
+                }
+                # a bare number may count areas of the survey, but hardly by the zones beside its own
+                if told and ("utm" in column.words or all(abs(zone - own) <= 1 for zone in told)):
+                    said |= told
+        if said - {own}:
+            raise InputError(
+                f"places in {crs.name} as stated, in zone {', '.join(map(str, sorted(said)))} by the file",
+                where=self.path,
+                expected="one zone of UTM",
+                cure="State the zone of the file, or split it by its zones",
+            )
 
     def angles(self, quantity: str) -> ArrayF:
         """Degrees (n,) of the column of latitude or longitude; NaN where there is no value.
@@ -1158,7 +1247,7 @@ def _heed(remarks: Sequence[tuple[int, str]], table: Table) -> Table:
     named = [column for column in table.columns if column.unit is not None]
     upright = {*f"{NAMES['depth']} {NAMES['height']}".split()}
     bare = not any(column.words in upright for column in named)
-    codes = set()
+    codes, ups = set[int](), set[Unit]()
     for number, line in remarks:
         # beside x_m, y_m a unit of depths is still missing
         if (not named or (bare and _OF_HEIGHTS.search(line))) and unit_in_words(line) is not None:
@@ -1174,14 +1263,36 @@ def _heed(remarks: Sequence[tuple[int, str]], table: Table) -> Table:
     for k, column in enumerate(table.columns):
         if _FLAGS & {*column.words.split("_")} and len({*table.text(k)}) > 1:
             table.notes.append(f"column {column.name} may mark rows that do not count: it is not read")
-        if column.words in ("epsg", "srid"):
-            codes |= {int(cell) for cell in {*table.text(k)} if re.fullmatch(r"\d{4,5}", cell)}
-    maps = []
+        cells = {*table.text(k)} if column.words in (*_OF_SYSTEMS, "datum") else set()
+        if column.words in f"{NAMES['lat']} {NAMES['lon']}".split():  # Latitude (NAD27)
+            cells = set(re.findall(r"[A-Z]{2,}[ _-]?\d{2,4}\b", column.name))
+        if len(cells) <= _FEW_SYSTEMS:
+            codes |= {code for cell in cells if (code := _code_of(cell)) is not None}
+            ups |= {unit for c in cells if " + " in c and (unit := column_of(c).unit) is not None}
+    maps, degrees = [], []
     for code in codes:
         with contextlib.suppress(CRSError):
-            maps += [code] * CRS.from_epsg(code).is_projected
+            known = CRS.from_epsg(code)
+            maps += [code] * known.is_projected
+            degrees += [code] * (known.is_geographic and len(known.axis_info) == 2)
     lines = tuple(line for _, line in remarks)
-    return replace(table, code=maps[0] if len(maps) == 1 else None, remarks=lines)
+    if len(ups) == 1:
+        table = table.heights_in(ups.pop())
+    return replace(
+        table,
+        code=maps[0] if len(maps) == 1 else None,
+        degrees=degrees[0] if len(degrees) == 1 else None,
+        remarks=lines,
+    )
+
+
+def _code_of(text: str) -> int | None:
+    """EPSG code of a coordinate system by its number or its name, of one with heights that of the map."""
+    number = re.fullmatch(r"(?:EPSG:)?(\d{4,5})", text)
+    with contextlib.suppress(CRSError):
+        found = CRS.from_epsg(int(number[1])) if number else CRS.from_user_input(text.partition(" + ")[0])
+        return found.to_2d().to_epsg() if found.is_projected else found.to_epsg()
+    return None
 
 
 def _numbers_alone(text: str, separator: str, first: int) -> pd.DataFrame | None:
