@@ -1197,7 +1197,6 @@ def read_places(
         )
     placed = {word for quantity in ("east", "north", "lat", "lon") for word in NAMES[quantity].split()}
     frame = frame[[name for name in frame if column_of(str(name)).words not in placed]]
-    frame = frame.assign(x=at[:, 0], y=at[:, 1])
     if on is not None and states is not None and states.is_projected and not states.equals(on):
         check_places(
             at[:, :2],
@@ -1205,10 +1204,16 @@ def read_places(
             where=f"{path}, which states {states.name}",
             cure="campaign.crs: without it the file's own counts",
         )
+    notes = list(drawn.notes)
+    if on is not None and (metric := in_metres(on)).factors[0] != 1.0:
+        notes.append(f"east and north taken in the unit of {on.name} ({metric.factors[0]:.10g} m)")
+        at[:, :2] *= metric.factors[0]
+        on = metric.crs
+    frame = frame.assign(x=at[:, 0], y=at[:, 1])
     if "z" not in frame and at.shape[1] > 2:
         frame = frame.assign(z=at[:, 2])
     table = Table.of(frame, path)
-    return _heed(_remarks("", (), table), table), Places(at[:, :2], on, list(drawn.notes))
+    return _heed(_remarks("", (), table), table), Places(at[:, :2], on, notes)
 
 
 def _remarks(text: str, above: Sequence[str], table: Table) -> list[tuple[int, str]]:
