@@ -82,6 +82,7 @@ def test_units_between_blanks(tmp_path):
     "head",
     [
         "x,y,depth\nm,m,ft MLLW",
+        "m,m,ft\nx,y,depth",
         "latitude,longitude,depth\ndegrees_north,degrees_east,ft",
         "Date,Time,x,y,depth\nyyyy-mm-dd,hh:mm:ss,m,m,ft",
     ],
@@ -98,6 +99,9 @@ def test_units_below_the_names(tmp_path, head):
     ("above", "below", "head", "words"),
     [
         ("# depths in feet\n", "", "x_m,y_m,depth", "depths in feet"),
+        ("# DepthUnits=ft\n", "", "x,y,depth", "DepthUnits=ft"),
+        ("VERTICAL_UNITS;Feet\n", "", "x,y,depth", "VERTICAL_UNITS;Feet"),
+        ('# {"depth_unit": "ft"}\n', "", "x,y,depth", "depth_unit"),
         ("# Einheit Tiefe: cm\n", "", "x,y,Tiefe", "Einheit Tiefe"),
         ("# depths are given in ft\n", "", "x,y,depth", "depths are given in ft"),
         ("# Depth [ft], position [m]\n", "", "x,y,depth", "name no unit"),
@@ -300,6 +304,13 @@ def test_numbers_that_repeat_far_from_all_others(tmp_path, value):
     depth = np.where(np.arange(N) % 12 == 5, value, DEPTH)
     path = rows(tmp_path / "t.csv", "x,y,depth", EAST, NORTH, depth)
     assert soundings(path) == pytest.approx(-DEPTH[depth != value])
+
+
+@pytest.mark.parametrize("remark", ["nodata = 2.3451", "NODATA_VALUE 2.3451", "missing value: 2.3451"])
+def test_a_number_that_a_remark_states_as_none(tmp_path, remark):
+    depth = np.where(np.arange(N) == 5, 2.3451, DEPTH)
+    path = rows(tmp_path / "t.csv", "x,y,depth", EAST, NORTH, depth, above=f"# {remark}\n")
+    assert soundings(path) == pytest.approx(-np.delete(DEPTH, 5))
 
 
 def test_a_deep_place_and_coarse_numbers_are_no_stand_ins():

@@ -218,6 +218,10 @@ _EITHER: Final = {"n", "north", "e", "east", "neg", "negative", "positive"}
 """Words in the name of an angle: counted to the other side, or the sign tells."""
 _OF_SIDES: Final = re.compile(r"(?i)hemi|[_ ](?:ref|dir)|^(?:n\W?s|e\W?w)$|^(?:lat|lon)\w*[ _](?:ns|ew)")
 """Names of columns with the letters N, S, E, W that do not stand beside their angles."""
+_OF_NOTHING: Final = re.compile(
+    r"(?i)(?:no[ _-]?data(?:[ _-]?value)?|(?:missing|fill|null|dummy)[ _-]?value)\W{1,3}?(-?\d+(?:\.\d+)?)"
+)
+"""A remark that states which number stands for none."""
 _OF_95: Final = re.compile(r"(?i)95|1[.,]96|\b2\W?(?:s|sd|std|sigma|σ)\b")
 """Names of uncertainties that hold with 95 %."""
 _ANGLE: Final = re.compile(
@@ -536,7 +540,8 @@ class Table:
                     )
                 self._lose(f"with {first} for a number", column.name, odd)
         kind = quantity if quantity in NOTHING else _KIND.get(quantity, "other")
-        none = is_nothing(values, kind, nothing, keep) & np.isfinite(values)
+        declared = [float(value) for line in self.remarks for value in _OF_NOTHING.findall(line)]
+        none = is_nothing(values, kind, [*nothing, *declared], keep) & np.isfinite(values)
         if kind == "sigma":
             none |= values <= 0
             if _OF_95.search(column.name):
@@ -1447,7 +1452,8 @@ def _header(
         elif row and len(row) >= max(1, usual - 1) and not any(values[k]):
             if separator == r"\s+" and len(row) > usual:  # a unit in brackets belongs to the name before it
                 row = re.split(r"\s+(?![(\[])(?![^(\[]*[)\]])", " ".join(row))
-            return row, units, first
+            above = [c for c in few[k - 1] if c] if k else []
+            return row, above if not units and len(above) == len(row) and _are_units(above) else units, first
         elif row and not 0 <= named < k:  # a remark between the names and the numbers
             break
     comments = [x.lstrip() for x in lines[:first] if x.lstrip().startswith(_HEADS)]

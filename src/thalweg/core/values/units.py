@@ -94,7 +94,10 @@ def unit_in_words(text: str) -> Unit | None:
     ('foot', 'US survey foot')
     >>> unit_in_words("antenna height [mm]: 1200") is None
     True
+    >>> unit_in_words("DepthUnits=ft").name, unit_in_words("VERTICAL_UNITS;Feet").name
+    ('foot', 'foot')
     """
+    text = re.sub(r"(?<=[a-z])(?=[A-Z])|_", " ", re.sub(r"[;|\t](?=\S)", ": ", text))
     found = None if _OF_OTHERS.search(text) or not _OF_VALUES.search(text) else _STATED.search(text)
     return None if found is None else unit_of_word(found[1])
 
