@@ -230,7 +230,7 @@ def _placed_rows(
 ) -> tuple[list[dict[str, str]], str | None]:
     """Rows of a table, or of points of a GIS, and the CRS that the file states, or ``crs``."""
     if not is_vector_file(path):
-        return table_rows(path, needed), crs
+        return table_rows(path, needed, crs), crs
     table, found = read_places(path, None, any_system=True)
     return named_rows(table), crs if found.crs is None else found.crs.to_wkt()
 
@@ -556,16 +556,17 @@ def _coordinates(
 # other programs write them: text to rows by our own names
 
 
-def table_rows(path: Path, needed: Sequence[str] = ()) -> list[dict[str, str]]:
+def table_rows(path: Path, needed: Sequence[str] = (), crs: str | None = None) -> list[dict[str, str]]:
     """Rows of a table with named columns, by our names of these, numbers with points and in metres.
 
     Parameters
     ----------
     needed : our names of columns without which the table is of no use, for the message.
+    crs : of its coordinates x, y as a user states it, which the file may contradict.
 
     Raises
     ------
-    InputError : see `thalweg.ingest.read_text_table`; no names of columns.
+    InputError : see `thalweg.ingest.read_text_table`; no names of columns; another map by the file.
     """
     table = read_text_table(path)
     if not table.named:
@@ -577,7 +578,10 @@ def table_rows(path: Path, needed: Sequence[str] = ()) -> list[dict[str, str]]:
         )
     for note in table.notes:
         log.warning("%s: %s", path.name, note)
-    return named_rows(table)
+    rows = named_rows(table)
+    if crs not in (None, LOCAL) and rows and not rows[0].keys() & {"lat_deg", "east_m"}:
+        table.refuse_other_map(crs_of(crs, path))
+    return rows
 
 
 def named_rows(table: Table, names: Mapping[str, tuple[str, ...]] = NAMES) -> list[dict[str, str]]:

@@ -85,7 +85,8 @@ NAMES: Final[Mapping[str, str]] = {
     "soundings wd",
     "sigma": "sigma sigma_z sigma_up sigma_height sigma_depth sd std stdev stddev uncertainty tvu accuracy",
     "line": "line line_id line_name profile section transect track run survey_line",
-    "time": "time timestamp datetime date_time time_utc utc utc_time gps_time epoch epoch_ms unix unix_s t "
+    "time": "time timestamp datetime date_time date_time_utc datetime_utc timestamp_utc time_utc utc "
+    "utc_time gps_time epoch epoch_ms unix unix_s t "
     "uhrzeit zeit zeitstempel heure hora ora tijd",
     "week": "week gps_week gpsweek wn",
     "tow": "tow sow gps_sow gps_tow seconds_of_week",
@@ -130,7 +131,7 @@ _OF_TOTALS: Final = (
 _TOTALS: Final = frozenset(_OF_TOTALS.split())
 _OF_ROWS: Final = (
     "flag flags qc qf quality valid withheld rejected reject accepted class classification status deleted "
-    "outlier outliers suspect bad excluded exclude edited use used"
+    "outlier outliers suspect bad excluded exclude edited use used fix"
 )
 _FLAGS: Final = frozenset(_OF_ROWS.split())
 """Names of columns that may say which rows count."""
@@ -511,17 +512,8 @@ class Table:
                 expected="a unit of length",
                 cure="Convert it to metres, or name another column",
             )
-        down = next((line for line in (column.name, *self.remarks) if says_downwards(line)), None)
-        if down is None and re.search(r"(?i)\b(?:down(?:wards?)?|below)\b", column.name.replace("_", " ")):
-            down = column.name
-        if quantity == "height" and down is not None and self.find("depth") is None:
-            raise InputError(
-                f"heights in column {column.name}, and "
-                + ("its name" if down == column.name else f"the remark '{down[:60]}'"),
-                where=self.path,
-                expected="heights, positive upwards",
-                cure="Call the column depth, or change its sign",
-            )
+        if quantity == "height":
+            self._refuse_depths(k)
         values, metres = self._values(k)
         if np.isnan(values).any():
             words = np.asarray(cells.str.lower().isin(WORDS), dtype=np.bool_)
@@ -555,6 +547,21 @@ class Table:
             shown = ", ".join(f"{v:g}" for v in np.unique(values[none])[:3])
             self._lose(f"with {shown}, which stands for no value,", column.name, none)
         return np.where(none, np.nan, values * metres)
+
+    def _refuse_depths(self, k: int) -> None:
+        """Refuse a column of heights that counts downwards by its name or a remark."""
+        name = self.columns[k].name
+        down = next((line for line in (name, *self.remarks) if says_downwards(line)), None)
+        if down is None and re.search(r"(?i)\b(?:down(?:wards?)?|below)\b", name.replace("_", " ")):
+            down = name
+        if down is not None and self.find("depth") is None:
+            raise InputError(
+                f"heights in column {name}, and "
+                + ("its name" if down == name else f"the remark '{down[:60]}'"),
+                where=self.path,
+                expected="heights, positive upwards",
+                cure="Call the column depth, or change its sign",
+            )
 
     def _values(self, k: int) -> tuple[ArrayF, ArrayF]:
         """Numbers (n,) of a column as they stand, NaN where there is none, and the metres of their units."""
@@ -630,18 +637,10 @@ class Table:
         InputError : no columns of coordinates, or none of a stated system.
         """
         metric, angular = self.having(("east", "north")), self.having(("lat", "lon"))
-        own_map = None if self.code is None or angular else CRS.from_epsg(self.code)
-        if own_map is not None and crs is not None and crs.to_2d().to_epsg() not in (None, self.code):
-            raise InputError(
-                f"places in {own_map.name} (EPSG:{self.code}) by the file, in {crs.name} as stated",
-                where=self.path,
-                expected="one coordinate system",
-                cure=f"State EPSG:{self.code}, or correct the file",
-            )
         if crs is None:
-            crs = own_map
-        elif metric and not angular:
-            self._refuse_other_zones(crs)
+            crs = None if self.code is None or angular else CRS.from_epsg(self.code)
+        elif not angular:
+            self.refuse_other_map(crs)
         stated, unit_m = crs, 1.0
         if crs is not None:
             found = in_metres(crs)
@@ -668,7 +667,7 @@ class Table:
                     cure="Look whether the receiver had a fix",
                 )
             on = crs if crs is not None else utm_of(lon[known], lat[known])
-            way, said = self._way_of_degrees(on)
+            way, said = self.way_of_degrees(on)
             east, north = way.transform(lon, lat)
             xy = np.column_stack([east, north])
             xy[~known] = np.nan
@@ -728,7 +727,7 @@ class Table:
             own[lost] = np.nan
         return Places(own, crs, notes)
 
-    def _way_of_degrees(self, on: CRS) -> tuple[Transformer, str]:
+    def way_of_degrees(self, on: CRS) -> tuple[Transformer, str]:
         """From latitude and longitude in the system that the file states, else WGS 84, to a map; in words.
 
         Raises
@@ -750,18 +749,26 @@ class Table:
             cure="Transform them with the grid files of the land survey",
         )
 
-    def _refuse_other_zones(self, crs: CRS) -> None:
-        """Refuse a zone of UTM that is not the one of a column of zones or of a remark.
+    def refuse_other_map(self, crs: CRS) -> None:
+        """Refuse a map that is not the one which the file states by a code, a name or a zone of UTM.
 
         Raises
         ------
-        InputError : they differ, or the rows are of several.
+        InputError : they differ, or the rows are of several zones.
         """
+        if self.code is not None and crs.to_2d().to_epsg() not in (None, self.code):
+            own = CRS.from_epsg(self.code).name
+            raise InputError(
+                f"places in {own} (EPSG:{self.code}) by the file, in {crs.name} as stated",
+                where=self.path,
+                expected="one coordinate system",
+                cure=f"State EPSG:{self.code}, or correct the file",
+            )
         if not crs.utm_zone:
             return
-        own = int(crs.utm_zone[:-1])
+        wanted = int(crs.utm_zone[:-1])
         remarks = {int(zone) for line in self.remarks for zone in _UTM_ZONE.findall(line)}
-        said = set() if own in remarks else remarks
+        said = set() if wanted in remarks else remarks
         for k, column in enumerate(self.columns):
             if column.words in ("zone", "utm_zone", "zone_utm"):
                 cells = {*self.text(k)}
@@ -769,15 +776,21 @@ class Table:
                     int(found[1]) for c in cells if (found := re.fullmatch(r"(?:UTM)?\s?(\d\d?)\s?[A-Z]?", c))
                 }
                 # a bare number may count areas of the survey, but hardly by the zones beside its own
-                if told and ("utm" in column.words or all(abs(zone - own) <= 1 for zone in told)):
+                if told and ("utm" in column.words or all(abs(zone - wanted) <= 1 for zone in told)):
                     said |= told
-        if said - {own}:
+        if said - {wanted}:
             raise InputError(
                 f"places in {crs.name} as stated, in zone {', '.join(map(str, sorted(said)))} by the file",
                 where=self.path,
                 expected="one zone of UTM",
                 cure="State the zone of the file, or split it by its zones",
             )
+
+    def _has_sides(self, k: int, quantity: str) -> bool:
+        """Whether numbers alone do not tell an angle: by its name, letters, minutes."""
+        beside = any(_OF_SIDES.search(column.name) for column in self.columns)
+        said = set(re.findall(r"[a-z]+", self.columns[k].name.lower()))
+        return beside or bool(said & _NEGATIVE[quantity]) or bool(np.isnan(self._parsed(self.cells[k])).any())
 
     def angles(self, quantity: str) -> ArrayF:
         """Degrees (n,) of the column of latitude or longitude; NaN where there is no value.
@@ -1051,7 +1064,14 @@ class Table:
             fits = _OF_IMAGES | (_ANGLES.keys() if ours in _OF_ATTITUDE else set())
             if self.columns[k].foreign and self.columns[k].foreign not in fits:
                 self.numbers(k)  # refuses it
+            if ours in ("z", "up_m", "h_ell_m"):
+                self._refuse_depths(k)
         columns = {ours: self._plain(k) for ours, k in where.items()}
+        for ours, quantity in (("lat_deg", "lat"), ("lon_deg", "lon")):
+            k = where.get(ours)
+            if k is not None and self.find(quantity) == k and self._has_sides(k, quantity):
+                told = zip(self.angles(quantity).tolist(), columns[ours], strict=True)
+                columns[ours] = [repr(value) if np.isfinite(value) else cell for value, cell in told]
         return (
             [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
             if columns
