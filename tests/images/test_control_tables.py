@@ -65,6 +65,26 @@ def test_the_table_of_the_house(tmp_path):
     np.testing.assert_allclose(np.sqrt(np.diag(found.cov_wcs_m2[1])), SIGMA)
 
 
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("id,x,y,z (down)\nA,377370,5656850,151\n", "and its name"),
+        ("id,x,y,z,zone\nA,377370,5656850,151,32U\n", "in zone 32 by the file"),
+        ("# EPSG:25832\nid,x,y,z\nA,377370,5656850,151\n", "coordinates in 'ETRS89 / UTM zone 32N'"),
+        ("id,lat,Longitude (W),h\nA,51.05,13.25,151\n", "-13.25"),
+    ],
+)
+def test_statements_of_a_table_that_contradict(tmp_path, text, words):
+    with pytest.raises((InputError, GeometryError), match=words):
+        points(write(tmp_path, "points.csv", text))
+
+
+def test_degrees_with_minutes_and_letters(tmp_path):
+    text = "id;lat;lon;h\nA;51 3 0.0 N;13 15 0.0 E;150\nB;51.05;13.25;151\n"
+    found = points(write(tmp_path, "points.csv", text)).points_wcs_m
+    np.testing.assert_allclose(found, [[0, 0, 0], [0, 0, 1]], atol=1e-6)
+
+
 def test_geodetic_and_map_coordinates(tmp_path):
     lat, lon, h = FRAME.to_geodetic(LOCAL)
     rows = [f"{n};{a:.10f};{b:.10f};{c:.4f}" for n, a, b, c in zip("ABC", lat, lon, h, strict=True)]
@@ -285,7 +305,7 @@ def test_hemispheres_in_columns_of_their_own(tmp_path):
 def test_heights_that_count_downwards_are_refused(tmp_path):
     text = "id,x,y,Z (positive down)\nA,1,2,3\n"
     with pytest.raises(
-        InputError, match=r"the column Z \(positive down\); expected heights, positive upwards"
+        InputError, match=r"in column Z \(positive down\), and its name; expected heights, positive upwards"
     ):
         points(write(tmp_path, "p.csv", text))
 

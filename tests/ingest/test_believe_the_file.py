@@ -7,7 +7,7 @@ import laspy
 import numpy as np
 import pandas as pd
 import pytest
-from pyproj import CRS
+from pyproj import CRS, Transformer
 
 from thalweg.bathymetry import Levels, read_soundings
 from thalweg.core import GPS_EPOCH_UNIX_S, InputError, ThalwegError, read_opencv
@@ -48,6 +48,12 @@ def soundings(path: Path, crs: CRS | None = UTM) -> np.ndarray:
         ("ft_depth", 0.3048),
         ("depth (')", 0.3048),
         ("depthm", 1.0),
+        ('"Depth (ft, MLLW)"', 0.3048),
+        ("Depth (in feet below surface)", 0.3048),
+        ("Depth (U.S. survey ft)", 1200 / 3937),
+        ("Profundidad (pies)", 0.3048),
+        ("depth (m NHN)", 1.0),
+        ("depth (200 kHz)", 1.0),
     ],
 )
 def test_units_anywhere_in_a_name(tmp_path, name, unit_m):
@@ -56,8 +62,47 @@ def test_units_anywhere_in_a_name(tmp_path, name, unit_m):
 
 
 @pytest.mark.parametrize(
+    "name", ["depth (ft/10)", "depth (0.1 m)", "depth (fathoms & feet)", "depth (cm x 10)"]
+)
+def test_units_that_are_no_single_one(tmp_path, name):
+    with pytest.raises(InputError, match="expected a unit of length"):
+        soundings(rows(tmp_path / "t.csv", f"x,y,{name}", EAST, NORTH, DEPTH))
+
+
+def test_units_between_blanks(tmp_path):
+    """Where blanks separate the columns, a unit in brackets is no name of its own."""
+    table = pd.DataFrame({"x": EAST, "y": NORTH, "d": DEPTH / 0.3048})
+    (tmp_path / "t.txt").write_text(
+        f"East (m) North (m) Depth (ft)\n{table.to_string(index=False, header=False)}"
+    )
+    assert soundings(tmp_path / "t.txt") == pytest.approx(-DEPTH, abs=1e-5)
+
+
+@pytest.mark.parametrize(
+    "head",
+    [
+        "x,y,depth\nm,m,ft MLLW",
+        "m,m,ft\nx,y,depth",
+        "latitude,longitude,depth\ndegrees_north,degrees_east,ft",
+        "Date,Time,x,y,depth\nyyyy-mm-dd,hh:mm:ss,m,m,ft",
+    ],
+)
+def test_units_below_the_names(tmp_path, head):
+    day = [["2024-06-12"] * N, [f"10:00:{k:02d}" for k in range(N)]] if head.startswith("Date") else []
+    lon, lat = Transformer.from_crs(UTM, 4326, always_xy=True).transform(EAST, NORTH)
+    places = [lat, lon] if head.startswith("lat") else [EAST, NORTH]
+    path = rows(tmp_path / "t.csv", head, *day, *places, DEPTH / 0.3048)
+    assert soundings(path) == pytest.approx(-DEPTH, abs=1e-6)
+
+
+@pytest.mark.parametrize(
     ("above", "below", "head", "words"),
     [
+        ("# depths in feet\n", "", "x_m,y_m,depth", "depths in feet"),
+        ("# DepthUnits=ft\n", "", "x,y,depth", "DepthUnits=ft"),
+        ("VERTICAL_UNITS;Feet\n", "", "x,y,depth", "VERTICAL_UNITS;Feet"),
+        ('# {"depth_unit": "ft"}\n', "", "x,y,depth", "depth_unit"),
+        ("# Einheit Tiefe: cm\n", "", "x,y,Tiefe", "Einheit Tiefe"),
         ("# depths are given in ft\n", "", "x,y,depth", "depths are given in ft"),
         ("# Depth [ft], position [m]\n", "", "x,y,depth", "name no unit"),
         ("", "# units: feet\n", "x,y,depth", "units: feet"),
@@ -72,6 +117,83 @@ def test_remarks_that_contradict(tmp_path, above, below, head, words):
     with pytest.raises(InputError, match=words) as told:
         soundings(path)
     assert told.value.cure
+
+
+@pytest.mark.parametrize("name", ["Z (down)", "Z (+down)", "Elevation (m below datum)"])
+def test_heights_whose_name_counts_downwards(tmp_path, name):
+    with pytest.raises(InputError, match="and its name"):
+        soundings(rows(tmp_path / "t.csv", f"x,y,{name}", EAST, NORTH, DEPTH))
+
+
+@pytest.mark.parametrize(
+    ("head", "cells", "above", "words"),
+    [
+        ("x,y,depth,Zone", "32U", "", "in zone 32 by the file"),
+        ("x,y,depth,UTM Zone", [32, 33] * (N // 2), "", "in zone 32, 33 by the file"),
+        ("x,y,depth,id", 1, "# UTM zone 32N\n", "in zone 32 by the file"),
+        ("x,y,depth,CS name", "ETRS89 / UTM zone 32N", "", "EPSG:25832.*as stated"),
+        ("x,y,depth,Zone", [1, 2] * (N // 2), "# transformed from UTM 32 to UTM 33\n", ""),
+    ],
+)
+def test_zones_and_systems_that_contradict(tmp_path, head, cells, above, words):
+    path = rows(tmp_path / "t.csv", head, EAST, NORTH, DEPTH, cells, above=above)
+    if not words:
+        assert len(soundings(path)) == N
+        return
+    with pytest.raises(InputError, match=words):
+        soundings(path)
+
+
+def test_heights_in_the_unit_of_their_system(tmp_path):
+    """Feet of the US survey, by the name of the system beside each row, and by the one that is stated."""
+    foot = 1200 / 3937
+    east, north = (300_000 + EAST - EAST[0]) / foot, (65_000 + NORTH - NORTH[0]) / foot
+    name = "NAD83 / New York Long Island (ftUS) + NAVD88 height (ftUS)"
+    path = rows(tmp_path / "t.csv", "x,y,z,CS name", east, north, (100 - DEPTH) / foot, [name] * N)
+    for crs in (None, CRS(2263)):
+        assert soundings(path, crs) == pytest.approx(100 - DEPTH, abs=1e-6)
+    path = rows(tmp_path / "t.csv", "x,y,z", east, north, (100 - DEPTH) / foot)
+    assert soundings(path, CRS("EPSG:2263+6360")) == pytest.approx(100 - DEPTH, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("head", "above"), [("Latitude (NAD27),Longitude (NAD27)", ""), ("lat,lon", "# EPSG:4267\n")]
+)
+def test_degrees_of_another_datum(tmp_path, head, above):
+    """In Texas NAD27 lies 40 m from WGS 84; where no way is known the file is refused."""
+    path = rows(tmp_path / "t.csv", head, [30.2] * 4, [-98.5] * 4, above=above)
+    wgs84 = Transformer.from_crs(4326, 26914, always_xy=True).transform(-98.5, 30.2)
+    shift = np.linalg.norm(read_text_table(path).places(CRS(26914)).xy_m[0] - wgs84)
+    assert 30 < shift < 50
+    path = rows(tmp_path / "t.csv", head, [51.0] * 4, [13.7] * 4, above=above)
+    with pytest.raises(InputError, match="in NAD27, by the file"):
+        read_text_table(path).places(UTM)
+
+
+def test_x_that_a_system_counts_northwards(tmp_path):
+    path = rows(tmp_path / "t.csv", "x,y", [536_324.0] * 4, [438_711.0] * 4)
+    assert "in ETRF2000-PL / CS92 x is the northing" in read_text_table(path).places(CRS(2180)).notes[0]
+    path = rows(tmp_path / "t.csv", "east,north", [536_324.0] * 4, [438_711.0] * 4)
+    assert not read_text_table(path).places(CRS(2180)).notes
+
+
+def test_uncertainties_with_95_percent_or_none(tmp_path):
+    path = rows(
+        tmp_path / "t.csv", "x,y,depth,uncertainty (95%)", EAST, NORTH, DEPTH, [0.0] * 9 + [0.196] * 51
+    )
+    found = read_soundings(path, UTM, column=None, depth=None, level_m=None, line_column=None, sigma_m=0.02)
+    assert found.sigma_m == pytest.approx(0.1)
+    assert "9 rows with 0, which stands for no value, in column uncertainty" in " ".join(found.notes)
+    assert "divided by 1.96" in " ".join(found.notes)
+
+
+@pytest.mark.parametrize("name", ["tide (m)", "water_level", "heave", "draught"])
+def test_columns_that_may_be_in_the_depths(tmp_path, name):
+    path = rows(tmp_path / "t.csv", f"x,y,depth,{name}", EAST, NORTH, DEPTH, DEPTH)
+    found = read_soundings(
+        path, UTM, column="depth", depth=None, level_m=None, line_column=None, sigma_m=0.02
+    )
+    assert f"column {name} is not added: depths are taken from the water" in found.notes
 
 
 def test_remarks_that_are_used_or_quoted(tmp_path):
@@ -101,6 +223,68 @@ def test_a_column_of_units_beside_points_of_a_gis(tmp_path):
         read_places(tmp_path / "a.geojson", UTM)
 
 
+@pytest.mark.parametrize("name", ["depth units", "Units of depth", "Linear Unit"])
+def test_columns_of_units(tmp_path, name):
+    with pytest.raises(InputError, match="ft' beside columns that name no unit"):
+        soundings(rows(tmp_path / "t.csv", f"x,y,depth,{name}", EAST, NORTH, DEPTH, ["ft"] * N))
+    found = soundings(
+        rows(tmp_path / "t.csv", "x,y,depth,Antenna height unit", EAST, NORTH, DEPTH, ["ft"] * N)
+    )
+    assert found == pytest.approx(-DEPTH)
+
+
+@pytest.mark.parametrize(
+    ("head", "second"), [("x,y,depth_m", "x,y,depth_ft"), ("id,x,y,depth,sigma", "no,x,y,sigma,depth")]
+)
+def test_a_second_header_that_means_others(tmp_path, head, second):
+    columns = dict(zip(("x", "y", "depth"), (EAST, NORTH, DEPTH), strict=True))
+    values = [columns.get(name.split("_")[0], np.full(N, 0.5)) for name in head.split(",")]
+    below = second + "\n" + pd.DataFrame(dict(enumerate(values))).to_csv(index=False, header=False)
+    with pytest.raises(InputError, match="a second header with other columns"):
+        soundings(rows(tmp_path / "t.csv", head, *values, below=below))
+
+
+@pytest.mark.parametrize(
+    ("head", "more", "side"),
+    [
+        ("lat,Longitude (W)", [], (1, -1)),
+        ("lat,lon (+W)", [], (1, -1)),
+        ("Latitude (South),lon", [], (-1, 1)),
+        ("lat,lon (E/W)", [], (1, 1)),
+        ("lat,lon (W negative)", [], (1, 1)),
+        ("lat,lon,NS,EW", ["S", "W"], (-1, -1)),
+        ("lat,lon,remark,lat_ref,lon_ref", ["", "S", "W"], (-1, -1)),
+        ("lat,lon,remark,bank", ["", "W"], (1, 1)),
+    ],
+)
+def test_hemispheres_by_names_and_letters(tmp_path, head, more, side):
+    path = rows(tmp_path / "t.csv", head, [33.5] * 4, [70.25] * 4, *([each] * 4 for each in more))
+    table = read_text_table(path)
+    assert (table.angles("lat")[0], table.angles("lon")[0]) == (33.5 * side[0], 70.25 * side[1])
+
+
+@pytest.mark.parametrize("form", ["(ddmm.mmmm)", "(dd.mmss)", "(DMS)"])
+def test_degrees_and_minutes_in_one_number(tmp_path, form):
+    path = rows(tmp_path / "t.csv", f"Latitude {form},Longitude {form}", [15.0045] * 4, [45.2545] * 4)
+    with pytest.raises(InputError, match="numbers such as"):
+        read_text_table(path).angles("lat")
+    path = rows(tmp_path / "t.csv", f"Latitude {form};Longitude {form}", ["15 0.27;45 15.27"] * 4)
+    assert read_text_table(path).angles("lat")[0] == pytest.approx(15.0045)
+
+
+@pytest.mark.parametrize("name", ["Depth QC", "is_valid", "status", "deleted", "Solution status"])
+def test_columns_that_may_mark_rows(tmp_path, name):
+    path = rows(tmp_path / "t.csv", f"x,y,depth,{name}", EAST, NORTH, DEPTH, np.arange(N) % 2)
+    assert f"column {name} may mark rows that do not count: it is not read" in read_text_table(path).notes
+
+
+@pytest.mark.parametrize("word", ["AVG", "Mittelwert", "Maximum:"])
+def test_rows_of_totals(tmp_path, word):
+    below = f"{word},412027,5650018,2.5\n"
+    path = rows(tmp_path / "t.csv", "id,x,y,depth", range(N), EAST, NORTH, DEPTH, below=below)
+    assert len(soundings(path)) == N
+
+
 def test_names_above_a_remark_and_a_row_of_means(tmp_path):
     """A line between names and numbers hides no names; the mean at the end is no sounding."""
     path = rows(
@@ -122,6 +306,13 @@ def test_numbers_that_repeat_far_from_all_others(tmp_path, value):
     assert soundings(path) == pytest.approx(-DEPTH[depth != value])
 
 
+@pytest.mark.parametrize("remark", ["nodata = 2.3451", "NODATA_VALUE 2.3451", "missing value: 2.3451"])
+def test_a_number_that_a_remark_states_as_none(tmp_path, remark):
+    depth = np.where(np.arange(N) == 5, 2.3451, DEPTH)
+    path = rows(tmp_path / "t.csv", "x,y,depth", EAST, NORTH, depth, above=f"# {remark}\n")
+    assert soundings(path) == pytest.approx(-np.delete(DEPTH, 5))
+
+
 def test_a_deep_place_and_coarse_numbers_are_no_stand_ins():
     assert far_repeated([*DEPTH, 9.0, 9.0]) == ()
     assert far_repeated([1.0] * 40 + [2.0] * 5 + [30.0] * 5) == ()
@@ -137,6 +328,13 @@ def test_a_deep_place_and_coarse_numbers_are_no_stand_ins():
         ("time", "2024-06-12 10:00:{:02d} UTC", TEN),
         ("time", "2024-06-12 12:00:{:02d}+02", TEN),
         ("time,timezone", "2024-06-12 12:00:{:02d},Europe/Berlin", TEN),
+        ("time,utc_offset", "2024-06-12 15:30:{:02d},+5.5", TEN),
+        ("time,utc_offset", "2024-06-12 12:00:{:02d},2", TEN),
+        ("time,utc_offset", "2024-06-12 07:00:{:02d},-180", TEN),
+        ("time,tz", "2024-06-12 12:00:{:02d},+0200", TEN),
+        ("time (UTC + 2)", "2024-06-12 12:00:{:02d}", TEN),
+        ("time (GMT+2h)", "2024-06-12 12:00:{:02d}", TEN),
+        ("time,time_utc", "2024-06-12 12:00:{:02d},2024-06-12T10:00:00Z", TEN),
         ("week,tow", "2318,2952180{:02d}", TEN + 0.0),
     ],
 )
@@ -146,6 +344,31 @@ def test_zones_that_a_table_states(tmp_path, head, cells, unix_s):
     told = read_text_table(path).times()
     assert told[0][0] == pytest.approx(unix_s, abs=1e-6)
     assert "state no zone" not in " ".join(told[1])
+
+
+def test_zones_that_change_with_the_rows(tmp_path):
+    path = tmp_path / "t.csv"
+    path.write_text("time,tz,x\n2024-10-27 02:59:58,CEST,1\n2024-10-27 02:00:02,CET,1\n")
+    assert np.diff(read_text_table(path).times()[0]) == pytest.approx(4.0)
+    path.write_text("time,tz,x\n2024-06-12 11:00:00,BST,1\n2024-06-12 11:00:01,BST,1\n")
+    with pytest.raises(InputError, match="'BST' in column tz"):
+        read_text_table(path).times()
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("time (BST),x\n2024-06-12 11:00:00,1\n", "'time (BST)' may mean another clock or zone"),
+        ("# Zeitzone: MESZ/MEZ\ntime,x\n2024-06-12 11:00:00,1\n", "may mean another clock or zone"),
+        (
+            "time,x\n06/13/2024 10:00,1\n06/13/2024 10:01,2\n2024-06-13 10:02,3\n",
+            "1 times of column time are not",
+        ),
+    ],
+)
+def test_times_that_may_be_others_are_noted(tmp_path, text, words):
+    (tmp_path / "t.csv").write_text(text)
+    assert words in " ".join(read_text_table(tmp_path / "t.csv").times()[1])
 
 
 @pytest.mark.parametrize("first", [25_569.0, 719_529.0, 2_440_587.5, 40_587.0])
@@ -172,6 +395,9 @@ def test_two_digits_that_may_be_the_year(tmp_path):
     path.write_text("time,x\n" + "".join(f"24-06-12 10:00:{k:02d},1\n" for k in range(9)))
     with pytest.raises(InputError, match="may be the year"):
         read_text_table(path).times()
+    path.write_text("time,x\n24.06.12 10:00:00,1\n24.06.13 10:00:00,1\n")
+    with pytest.raises(InputError, match="may be the year"):
+        read_text_table(path).times()
     path.write_text("time,x\n" + "".join(f"24-06-{k:02d} 10:00:00,1\n" for k in range(11, 20)))
     told = read_text_table(path).times()
     assert told[0][1] == pytest.approx(TEN)
@@ -185,6 +411,9 @@ def test_two_digits_that_may_be_the_year(tmp_path):
         "Datum;Uhrzeit;Pegel\n12.06.2024;09:00;100,0\n12.06.2024;11:00;102,0\n",
         "time (MESZ),level\n2024-06-12T11:00,100.0\n2024-06-12T13:00,102.0\n",
         "2024-06-12T09:00,100.0\n2024-06-12T11:00,102.0\n",
+        "dateTime,value,quality\n2024-06-12T09:00,100.0,40\n2024-06-12T11:00,102.0,40\n",
+        "Zeit;Wert;Status\n2024-06-12T09:00;100,0;1\n2024-06-12T11:00;102,0;1\n",
+        "time,W,Q\n2024-06-12T09:00,100.0,7.5\n2024-06-12T11:00,102.0,7.6\n",
     ],
 )
 def test_levels_by_their_names(tmp_path, text):

@@ -51,6 +51,17 @@ def test_a_deeper_export_gives_depths_and_a_track(tmp_path):
     assert (table["lat_deg"].iloc[3], table["fix"].iloc[3]) == (35.0003, "single")
 
 
+def test_heights_and_datum_of_a_track(tmp_path):
+    """The separation of geoid and ellipsoid is no height; in Texas NAD27 lies 40 m from WGS 84."""
+    path = tmp_path / "track.csv"
+    head = "DATE_TIME_UTC,Latitude (NAD27),Longitude (NAD27),Geoid-ellipsoid separation,Ellipsoidal height"
+    path.write_text(f"{head}\n2024-06-12 10:00:00,30.2,-98.5,-27.1,120.5\n")
+    log = read_track_table([path], TrackOptions())
+    assert log.positions["h_ell_m"].tolist() == [120.5]
+    assert 2e-4 < abs(log.positions["lon_deg"][0] + 98.5) < 5e-4
+    assert "are in NAD27, as the file states" in " ".join(log.report.notes)
+
+
 def test_points_are_no_deeper_export(tmp_path):
     """Five columns of a cloud: no milliseconds of this century stand in the last one."""
     path = tmp_path / "cloud.csv"

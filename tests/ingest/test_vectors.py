@@ -66,7 +66,8 @@ def test_the_same_lines_in_every_format(tmp_path, name):
     banks, _ = read_bank_lines(path, MAP, None, None, (np.empty((0, 2)), np.empty(0)), notes)
     of = banks.table[banks.table["side"] == "left"]
     assert of["north_m"].max() == pytest.approx(NORTH_M + 22.0, abs=1e-2)
-    assert len(notes) == (name in {"a.dxf", "a.gpkg"})  # states no map, states another one
+    # states no map, states another one, heights that GDAL writes without altitudeMode
+    assert len(notes) == (name in {"a.dxf", "a.gpkg", "a.kml"})
     # the left bank lies to the left: downstream is east
     assert banks.line.points_m[-1, 0] > banks.line.points_m[0, 0]
     (outline,) = read_islands(water, MAP)
@@ -194,6 +195,33 @@ def test_heights_in_feet_become_metres(tmp_path):
     found = read_vectors(tmp_path / "a.gpkg")
     assert found.on_map(MAP).lines()[0][0] == pytest.approx(placed(LEFT), abs=1e-6)
     assert "heights in foot" in found.notes[0]
+
+
+def test_points_of_a_map_in_feet_come_into_metres(tmp_path):
+    table = GeoDataFrame(
+        {"depth": [1.0, 2.0]}, geometry=shapely.points([[984_250, 213_255], [984_350, 213_255]])
+    )
+    table.set_crs(2263).to_file(tmp_path / "a.gpkg")
+    for crs in (None, CRS(2263)):
+        found = read_places(tmp_path / "a.gpkg", crs)[1]
+        assert np.ptp(found.xy_m[:, 0]) == pytest.approx(100 * 1200 / 3937, abs=1e-6)
+        assert found.crs.axis_info[0].unit_name == "metre"
+        assert "taken in the unit of NAD83 / New York Long Island (ftUS)" in found.notes[0]
+
+
+def test_heights_and_units_that_are_not_followed_are_noted(tmp_path):
+    point = "<Point><coordinates>13.7,51.0,98.5</coordinates></Point>"
+    kml = f'<kml xmlns="http://www.opengis.net/kml/2.2"><Document><Placemark>{point}</Placemark></Document></kml>'
+    (tmp_path / "a.kml").write_text(kml)
+    assert "altitudeMode clampToGround" in " ".join(read_vectors(tmp_path / "a.kml").notes)
+    (tmp_path / "a.kml").write_text(kml.replace("<coord", "<altitudeMode>absolute</altitudeMode><coord"))
+    assert "altitudeMode" not in " ".join(read_vectors(tmp_path / "a.kml").notes)
+    WRITTEN["a.dxf"](BANKS, tmp_path / "a.dxf")
+    text = (tmp_path / "a.dxf").read_text()
+    assert "$INSUNITS" not in " ".join(read_vectors(tmp_path / "a.dxf").notes)
+    head = "  0\nSECTION\n  2\nHEADER\n  9\n$INSUNITS\n 70\n     2\n  0\nENDSEC\n"
+    (tmp_path / "a.dxf").write_text(head + text[text.index("  0\nSECTION\n  2\nTABLES") :])
+    assert "its unit as feet ($INSUNITS)" in " ".join(read_vectors(tmp_path / "a.dxf").notes)
 
 
 def test_a_layer_or_rows_by_name(tmp_path):

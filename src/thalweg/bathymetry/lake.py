@@ -40,6 +40,8 @@ _CLOCK: Final = r"\d{1,2}:\d{2}(:\d{2})?"
 _DATE: Final = r"\d{4}-\d{2}-\d{2}|\d{1,2}\.\d{1,2}\.\d{4}"
 _PARTS: Final = ("date", "time", "level")
 _WORDS_OF_TIME: Final = frozenset(f"{NAMES['date']} {NAMES['time']}".split())
+_WORDS_OF_VALUE: Final = frozenset(["value", "wert", "w", "valeur", "valor"])
+"""Names of levels beside which others stand, such as a quality or a discharge."""
 _DAY_S: Final = 86_400.0
 
 
@@ -193,9 +195,14 @@ class Levels:
         if not table.named and len(table.columns) == len(_PARTS):
             table = read_text_table(path, order=_PARTS)
         at = table.find("level")
-        last = len(table.columns) - 1 if at is None else at
-        level = table.numbers(last, "level")
         of_time = [k for k, c in enumerate(table.columns) if {c.words} & _WORDS_OF_TIME]
+        others = [k for k in range(len(table.columns)) if k not in of_time]
+        value = next((k for k in others if table.columns[k].words in _WORDS_OF_VALUE), len(table.columns) - 1)
+        last = value if at is None else at
+        level = table.numbers(last, "level")
+        notes = table.unit_notes(last) if table.named else []
+        if at is None and table.named and len(others) > 1:
+            notes.append(f"column {table.columns[last].name} taken as the level, of {table.listed()}")
         when = pd.Series(["T".join(row) for row in table.cells.iloc[:, of_time].to_numpy()], dtype=str)
         clock, daily = (bool(len(when)) and bool(when.str.fullmatch(p).all()) for p in (_CLOCK, _DATE))
         told = None if clock or not len(table) else table.times()
@@ -215,8 +222,10 @@ class Levels:
                 cure="Write date or time, and level: 2024-05-01,312.45 or 2024-05-01T12:30,312.45",
             )
         order = np.argsort(t, kind="stable")
-        notes = (*table.notes, *(told[1] if told else ()))
-        return cls(t_s=t[order], level_m=level[order], clock=clock, daily=daily, path=path, notes=notes)
+        notes = [*table.notes, *notes, *(told[1] if told else ())]
+        return cls(
+            t_s=t[order], level_m=level[order], clock=clock, daily=daily, path=path, notes=tuple(notes)
+        )
 
     def at(self, t_s: ArrayF) -> ArrayF:
         """Level (n,) at times (n,), seconds since 1970 UTC.

@@ -56,7 +56,7 @@ from thalweg.core import (
     write_raster,
 )
 from thalweg.core.values import METRE, check_places, is_vector_file, read_vectors, units_of_crs
-from thalweg.ingest import Table, read_places
+from thalweg.ingest import NAMES, Table, read_places
 from thalweg.ingest.registry import soundings_table
 from thalweg.settings.sections import Bathymetry
 
@@ -87,6 +87,8 @@ _APART: Final = 30.0
 _LINE_STRING: Final = 1
 """Of shapely's types."""
 _WIDEST_M: Final = 1_000_000.0
+_OF_WATER: Final = frozenset(["tide", "heave", "squat", "draft", "draught"])
+"""Words in names of columns that may be in the depths already."""
 _ALONE: Final = 0.5
 """More soundings than this share outside the banks: they are of another place."""
 
@@ -281,6 +283,9 @@ def read_soundings(
         found = table.places(crs)
         found = replace(found, notes=[*recorded[1], *found.notes])
     assert found.crs is not None
+    up = None if crs is None else units_of_crs(crs)[1]
+    if up is not None and not up.is_metre:  # as --crs EPSG:2263+6360 states
+        table = table.heights_in(up)
     k, depth = _column_of_values(table, column, depth)
     column, places = table.columns[k].name, found.xy_m
     value = table.numbers(k, "depth" if depth else "height", nothing=nothing, keep=keep)
@@ -290,8 +295,14 @@ def read_soundings(
     notes = [*table.notes, *found.notes, *table.unit_notes(k), *table.loss_notes()]
     if not depth:
         notes.append(f"column {column} taken as heights, positive upwards: depths need --depth {column}")
-    if depth and (draught := table.find("draught")) is not None:
-        notes.append(f"column {table.columns[draught].name} is not added: depths are taken from the water")
+    if at_sigma is not None:
+        notes.append(f"column {table.columns[at_sigma].name} taken as standard deviations of the {column}")
+    of_water = _OF_WATER | {*f"{NAMES['draught']} {NAMES['level']}".split()}
+    notes += [
+        f"column {other.name} is not added: depths are taken from the water"
+        for other in (table.columns if depth else ())
+        if other.words in of_water or _OF_WATER & {*other.words.split("_")}
+    ]
     if known.any():
         notes.append(
             check_places(

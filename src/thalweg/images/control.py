@@ -37,16 +37,7 @@ from thalweg.core import (
     parse_xml,
     rows_of,
 )
-from thalweg.core.values import (
-    FORMS,
-    HUGE,
-    in_metres,
-    is_nothing,
-    is_vector_file,
-    near_world,
-    says_downwards,
-    world_of,
-)
+from thalweg.core.values import FORMS, HUGE, in_metres, is_nothing, is_vector_file, near_world, world_of
 from thalweg.images.model import (
     ControlMarks,
     ControlPoints,
@@ -244,10 +235,12 @@ def _placed_rows(
     """Rows of a table, or of points of a GIS, and the CRS that the file states, or ``crs``."""
     if not is_vector_file(path):
         rows, table = _rows_and_table(path, needed)
-        _refuse_downwards(table)
         _note_sigmas(rows, table)
-        _sign_degrees(rows, table)
-        return rows, crs if crs == LOCAL else _stated_crs(table) or crs
+        if crs == LOCAL or (stated := _stated_crs(table)) is None:
+            if crs not in (None, LOCAL) and rows and not rows[0].keys() & {"lat_deg", "east_m"}:
+                table.refuse_other_map(crs_of(crs, path))
+            return rows, crs
+        return rows, stated
     table, found = read_places(path, None, any_system=True)
     return named_rows(table), crs if found.crs is None else found.crs.to_wkt()
 
@@ -647,30 +640,6 @@ def _stated_crs(table: Table) -> str | None:
             with contextlib.suppress(InputError):
                 return crs_of(found[1], table.path).to_wkt()
     return None if table.code is None else f"EPSG:{table.code}"
-
-
-def _refuse_downwards(table: Table) -> None:
-    heights = {*NAMES["z"], *NAMES["h_ell_m"], "up"}
-    down = next((c.name for c in table.columns if c.words in heights and says_downwards(c.name)), None)
-    if down is not None:
-        raise InputError(
-            f"the column {down}",
-            expected="heights, positive upwards",
-            where=table.path,
-            cure="Change its sign",
-        )
-
-
-def _sign_degrees(rows: list[dict[str, str]], table: Table) -> None:
-    """Latitudes and longitudes get the sign of the hemisphere whose letter has a column of its own."""
-    cells = [{text.upper() for text in table.text(k)} - {""} for k in range(len(table.columns))]
-    if not any(found and found <= set("NSEW") for found in cells):
-        return
-    for name, quantity in (("lat_deg", "lat"), ("lon_deg", "lon")):
-        if rows and name in rows[0]:
-            of_line = dict(zip(table.line.tolist(), table.angles(quantity).tolist(), strict=True))
-            for row in rows:
-                row[name] = repr(of_line[int(row[LINE])])
 
 
 def named_rows(table: Table, names: Mapping[str, tuple[str, ...]] = NAMES) -> list[dict[str, str]]:

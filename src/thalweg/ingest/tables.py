@@ -28,7 +28,7 @@ from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 import numpy as np
 import pandas as pd
 from pyproj import CRS, Transformer
-from pyproj.exceptions import CRSError
+from pyproj.exceptions import CRSError, ProjError
 
 from thalweg.core import (
     DAY_S,
@@ -85,7 +85,8 @@ NAMES: Final[Mapping[str, str]] = {
     "soundings wd",
     "sigma": "sigma sigma_z sigma_up sigma_height sigma_depth sd std stdev stddev uncertainty tvu accuracy",
     "line": "line line_id line_name profile section transect track run survey_line",
-    "time": "time timestamp datetime date_time time_utc utc utc_time gps_time epoch epoch_ms unix unix_s t "
+    "time": "time timestamp datetime date_time date_time_utc datetime_utc timestamp_utc time_utc utc "
+    "utc_time gps_time epoch epoch_ms unix unix_s t "
     "uhrzeit zeit zeitstempel heure hora ora tijd",
     "week": "week gps_week gpsweek wn",
     "tow": "tow sow gps_sow gps_tow seconds_of_week",
@@ -123,8 +124,15 @@ _ALIKE: Final = 0.8
 """Share of the lines that a separator must cut into the same number of cells."""
 _MOST_GARBLED: Final = 0.05
 """Share of cells without a number beyond which a column is refused rather than thinned."""
-_TOTALS: Final = frozenset(["total", "sum", "summe", "mean", "average", "mittel", "min", "max", "std"])
-_OF_ROWS: Final = "flag qc quality valid withheld rejected accepted class classification"
+_OF_TOTALS: Final = (
+    "total sum summe mean average avg mittel mittelwert moyenne media promedio median min max minimum "
+    "maximum std stdev count anzahl"
+)
+_TOTALS: Final = frozenset(_OF_TOTALS.split())
+_OF_ROWS: Final = (
+    "flag flags qc qf quality valid withheld rejected reject accepted class classification status deleted "
+    "outlier outliers suspect bad excluded exclude edited use used fix"
+)
 _FLAGS: Final = frozenset(_OF_ROWS.split())
 """Names of columns that may say which rows count."""
 _LAST_ROWS: Final = 10
@@ -168,6 +176,12 @@ _WORDED: Final = re.compile(
 """Clocks of twelve hours, and months by name."""
 _LAST_YEAR: Final = int(LEAP_TABLE_VALID_UNTIL[2:4])
 """Of two digits, that a date of a survey may have."""
+_FEW_SYSTEMS: Final = 3
+"""A column of more names holds no coordinate systems."""
+_OF_TODAY: Final = ("WGS 84", "GRS 1980")
+"""Ellipsoids of systems that differ from WGS 84 by a metre or two."""
+_UTM_ZONE: Final = re.compile(r"(?i)\bUTM\W*(?:zone\W*)?(\d\d?)(?!\d)")
+_OF_SYSTEMS: Final = ("epsg", "srid", "srs", "crs", "cs_name", "coordinate_system", "projection")
 _OF_ZONES: Final = ("timezone", "time_zone", "tz", "utc_offset", "utcoffset")
 _HOURS: Final = (
     "0 UTC GMT Z|1 CET MEZ|2 CEST MESZ EET|3 EEST|9 JST|10 AEST|11 AEDT|12 NZST|13 NZDT|-4 EDT|-5 EST CDT|"
@@ -175,7 +189,20 @@ _HOURS: Final = (
 )
 _ZONES: Final = {name: float(first) for first, *names in map(str.split, _HOURS.split("|")) for name in names}
 """Names of zones of time that mean one of them -> hours before UTC."""
-_OFFSET: Final = re.compile(r"(?:\b(?:UTC|GMT)\s?|^)([+-])(1[0-4]|0?\d):?([0-5]\d)?(?!\w)")
+_OF_HEIGHTS: Final = re.compile(r"(?i)\b(?:depths?|heights?|elevations?|soundings?|z|tiefen?|höhen?)\b")
+_OF_UNITS: Final = re.compile(
+    r"(?:(?:depth|height|elevation|altitude|z|linear|length|vertical|tiefen?|höhen?|hoehen?)_?)?"
+    r"(?:units?|uom|einheit)(?:_(?:depth|height|elevation|z))?"
+)
+"""Names of columns that hold the unit of others."""
+_OFFSET: Final = re.compile(
+    r"(?:\b(?:UTC|GMT)\s?|^)([+-])\s?(1[0-4]|0?\d)(?::?([0-5]\d)|\.(\d+))?\s?(?:h|hours?)?(?!\w)"
+)
+_OTHER_CLOCK: Final = re.compile(
+    r"(?i:gps|local|lokal|ortszeit|sommer|winter|summer|standard|daylight|pacific|eastern|mountain|central|\btai\b|"
+    r"(?<=\()(?!u|z)(?:[a-z]{1,3}t|msk)(?=\)))|(?i:zone|zeitzone)\W+(?!UTC|GMT)[A-Z]{2,4}\b|\bMES?Z\b|\bCES?T\b"
+)
+"""Words beside times that mean another clock than UTC, which nobody can tell from them."""
 _DAY_COUNTS: Final = {
     "days since 1899-12-30 (Excel)": 25_569.0,
     "modified Julian days": 40_587.0,
@@ -185,6 +212,19 @@ _DAY_COUNTS: Final = {
 """Counts of days -> their number on 1970-01-01."""
 _FEWEST_STEP: Final = 0.005
 """No sounder and no receiver writes rows of a table so fast, in seconds: smaller steps are days."""
+_PACKED: Final = re.compile(r"(?i)[(\[_ ]d+[.°]?m[m.]|[(\[_ ](?:dms|ddm|dmm)\b")
+"""Names of angles whose minutes follow the degrees in one number."""
+_NEGATIVE: Final = {"lat": {"s", "south", "süd"}, "lon": {"w", "west", "ouest", "oeste"}}
+_EITHER: Final = {"n", "north", "e", "east", "neg", "negative", "positive"}
+"""Words in the name of an angle: counted to the other side, or the sign tells."""
+_OF_SIDES: Final = re.compile(r"(?i)hemi|[_ ](?:ref|dir)|^(?:n\W?s|e\W?w)$|^(?:lat|lon)\w*[ _](?:ns|ew)")
+"""Names of columns with the letters N, S, E, W that do not stand beside their angles."""
+_OF_NOTHING: Final = re.compile(
+    r"(?i)(?:no[ _-]?data(?:[ _-]?value)?|(?:missing|fill|null|dummy)[ _-]?value)\W{1,3}?(-?\d+(?:\.\d+)?)"
+)
+"""A remark that states which number stands for none."""
+_OF_95: Final = re.compile(r"(?i)95|1[.,]96|\b2\W?(?:s|sd|std|sigma|σ)\b")
+"""Names of uncertainties that hold with 95 %."""
 _ANGLE: Final = re.compile(
     r"\s*([NSEW])?\s*([-+−]?\d+(?:[.,]\d+)?)\s*(?:[°d:\s]\s*(\d+(?:[.,]\d+)?)\s*(?:['′m:\s]\s*(\d+(?:[.,]\d+)?)\s*(?:''|\"|″|s)?)?)?"
     r"\s*['′°]?\s*([NSEW])?\s*",
@@ -213,6 +253,39 @@ _LONGEST_NAME: Final = 200
 """Letters of a column's name; the first line of what is no table may be one of a megabyte."""
 
 
+_SCALE: Final = re.compile(r"(?<!\d)[x×*/]\s*[\d.]+|^(?:1/|0?\.)\d+\s*[a-z]", re.IGNORECASE)
+"""Tenths of a unit and the like: ``ft/10``, ``x 0.1 m``, ``1/10 ft``, ``0.1 m``."""
+
+
+def _in_brackets(text: str) -> tuple[Unit | None, str]:
+    """The unit of length in the words behind a name, and what they state that is none.
+
+    Examples
+    --------
+    >>> _in_brackets("ft, MLLW")[0].name, _in_brackets("in US survey feet below datum")[0].name
+    ('foot', 'US survey foot')
+    >>> _in_brackets("x0.1 ft"), _in_brackets("mbar"), _in_brackets("200 kHz")
+    ((None, 'x0.1 ft'), (None, 'mbar'), (None, ''))
+    """
+    word = text.strip().lower()
+    if (unit := unit_of_word(text)) is not None:
+        return unit, ""
+    if word in _NO_LENGTHS:
+        return None, word
+    pieces, units, k = re.split(r"[\s,;:&+]+", word), set(), 0
+    if "deg" in word or "dd" in pieces or "ddd" in pieces:  # whose minutes are mm
+        return None, ""
+    while k < len(pieces):
+        parts = [(n, unit_of_word(" ".join(pieces[k : k + n]))) for n in (3, 2, 1)]
+        n, unit = next((each for each in parts if each[1] is not None), (1, None))
+        if unit is not None and pieces[k : k + n] != ["in"]:
+            units.add(unit)
+        k += n
+    if len(units) > 1 or (_SCALE.search(word) and any(unit_of_word(w) for w in re.findall("[a-z]+", word))):
+        return None, word
+    return next(iter(units), None), ""
+
+
 def column_of(name: str) -> Column:
     """What the name of a column says.
 
@@ -224,14 +297,14 @@ def column_of(name: str) -> Column:
     ('depth', 'US survey foot')
     >>> column_of("POINT_Z").words, column_of("DEPTHFT").unit.name, column_of("depth_ft_avg").unit.name
     ('z', 'foot', 'foot')
+    >>> column_of("Depth (ft, MLLW)").unit.name, column_of("Depth (ft/10)").foreign
+    ('foot', 'ft/10')
     """
     bare = name.strip()[:_LONGEST_NAME].strip("\"'").strip()
     unit, foreign, rest = None, "", re.sub(r"(?i)\b(?:[xyz]|date)/(?=\w\w)", "", bare)
     if bracket := re.search(r"[(\[{<]([^)\]}>]*)[)\]}>]\s*$", rest):
         rest = rest[: bracket.start()]
-        unit = unit_of_word(bracket[1])
-        word = bracket[1].strip().lower()
-        foreign = word if unit is None and word in _NO_LENGTHS else ""
+        unit, foreign = _in_brackets(bracket[1])
     split = re.sub(r"([a-zäöüß])([A-ZÄÖÜ])", r"\1 \2", rest)
     tokens = re.findall(r"[^\W\d_]+", re.sub(r"([A-Z]+)([A-Z][a-z])", r"\1 \2", split).lower())
     if unit is None and not foreign:
@@ -301,7 +374,7 @@ class Table:
     cells : (n, k) texts without blanks around them.
     line : (n,) number of each row's line in the file, from 1.
     decimal, thousands : marks inside numbers; no ``thousands`` if empty.
-    code : EPSG code of the map that the file states.
+    code, degrees : EPSG codes of the map, and of latitudes and longitudes, that the file states.
     remarks : what the file says in words beside its rows.
     losses : rows that were not taken: reason -> their number and the first line; grows as columns are read.
     notes : what was assumed.
@@ -315,6 +388,7 @@ class Table:
     decimal: str = "."
     thousands: str = ""
     code: int | None = None
+    degrees: int | None = None
     remarks: tuple[str, ...] = ()
     losses: dict[str, tuple[int, int]] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
@@ -333,6 +407,15 @@ class Table:
             cells=cells.set_axis(range(frame.shape[1]), axis=1).reset_index(drop=True),
             line=np.arange(1, len(frame) + 1),
         )
+
+    def heights_in(self, unit: Unit) -> "Table":
+        """The same, with heights whose columns name no unit in that of their coordinate system."""
+        known = NAMES["height"].split()
+        columns = (
+            replace(c, unit=unit) if c.words in known and c.unit is None and not c.foreign else c
+            for c in self.columns
+        )
+        return replace(self, columns=tuple(columns))
 
     # -------------------------------- which column
 
@@ -429,14 +512,8 @@ class Table:
                 expected="a unit of length",
                 cure="Convert it to metres, or name another column",
             )
-        down = next((line for line in (column.name, *self.remarks) if says_downwards(line)), None)
-        if quantity == "height" and down is not None and self.find("depth") is None:
-            raise InputError(
-                f"heights in column {column.name}, and the remark '{down[:60]}'",
-                where=self.path,
-                expected="heights, positive upwards",
-                cure="Call the column depth, or change its sign",
-            )
+        if quantity == "height":
+            self._refuse_depths(k)
         values, metres = self._values(k)
         if np.isnan(values).any():
             words = np.asarray(cells.str.lower().isin(WORDS), dtype=np.bool_)
@@ -455,13 +532,36 @@ class Table:
                     )
                 self._lose(f"with {first} for a number", column.name, odd)
         kind = quantity if quantity in NOTHING else _KIND.get(quantity, "other")
-        none = is_nothing(values, kind, nothing, keep) & np.isfinite(values)
+        declared = [float(value) for line in self.remarks for value in _OF_NOTHING.findall(line)]
+        none = is_nothing(values, kind, [*nothing, *declared], keep) & np.isfinite(values)
+        if kind == "sigma":
+            none |= values <= 0
+            if _OF_95.search(column.name):
+                metres = metres / 1.96
+                self.notes.append(
+                    f"column {column.name} divided by 1.96, from 95 % to one standard deviation"
+                )
         if kind in ("depth", "height"):
             none |= _stand_ins(np.where(none, np.nan, values), keep)
         if none.any():
             shown = ", ".join(f"{v:g}" for v in np.unique(values[none])[:3])
             self._lose(f"with {shown}, which stands for no value,", column.name, none)
         return np.where(none, np.nan, values * metres)
+
+    def _refuse_depths(self, k: int) -> None:
+        """Refuse a column of heights that counts downwards by its name or a remark."""
+        name = self.columns[k].name
+        down = next((line for line in (name, *self.remarks) if says_downwards(line)), None)
+        if down is None and re.search(r"(?i)\b(?:down(?:wards?)?|below)\b", name.replace("_", " ")):
+            down = name
+        if down is not None and self.find("depth") is None:
+            raise InputError(
+                f"heights in column {name}, and "
+                + ("its name" if down == name else f"the remark '{down[:60]}'"),
+                where=self.path,
+                expected="heights, positive upwards",
+                cure="Call the column depth, or change its sign",
+            )
 
     def _values(self, k: int) -> tuple[ArrayF, ArrayF]:
         """Numbers (n,) of a column as they stand, NaN where there is none, and the metres of their units."""
@@ -537,16 +637,10 @@ class Table:
         InputError : no columns of coordinates, or none of a stated system.
         """
         metric, angular = self.having(("east", "north")), self.having(("lat", "lon"))
-        own_map = None if self.code is None or angular else CRS.from_epsg(self.code)
-        if own_map is not None and crs is not None and crs.to_2d().to_epsg() not in (None, self.code):
-            raise InputError(
-                f"places in {own_map.name} (EPSG:{self.code}) by the file, in {crs.name} as stated",
-                where=self.path,
-                expected="one coordinate system",
-                cure=f"State EPSG:{self.code}, or correct the file",
-            )
         if crs is None:
-            crs = own_map
+            crs = None if self.code is None or angular else CRS.from_epsg(self.code)
+        elif not angular:
+            self.refuse_other_map(crs)
         stated, unit_m = crs, 1.0
         if crs is not None:
             found = in_metres(crs)
@@ -573,10 +667,11 @@ class Table:
                     cure="Look whether the receiver had a fix",
                 )
             on = crs if crs is not None else utm_of(lon[known], lat[known])
-            east, north = Transformer.from_crs(4326, on, always_xy=True).transform(lon, lat)
+            way, said = self.way_of_degrees(on)
+            east, north = way.transform(lon, lat)
             xy = np.column_stack([east, north])
             xy[~known] = np.nan
-            notes = [f"latitude and longitude taken as WGS 84 and transformed to {on.name}"]
+            notes = [f"latitude and longitude {said} and transformed to {on.name}"]
             if crs is None:
                 notes[0] += ", the zone of UTM of the data"
             if not (metric and crs is not None):
@@ -593,6 +688,8 @@ class Table:
         e, n = (self.find(q) for q in ("east", "north"))
         assert e is not None
         assert n is not None
+        first = None if crs is None else crs.axis_info[0]
+        by_letter = {self.columns[e].words, self.columns[n].words} == {"x", "y"}
         if crs is None and not any_system:
             raise InputError(
                 f"columns {self.columns[e].name}, {self.columns[n].name} without a coordinate system",
@@ -602,6 +699,11 @@ class Table:
             )
         own = np.column_stack([self.numbers(e, "east"), self.numbers(n, "north")])
         notes = [x for x in self.unit_notes(e, n) if "converted" in x]
+        if by_letter and first is not None and (first.abbrev.lower(), first.direction) == ("x", "north"):
+            notes.append(
+                f"columns x, y are taken as east, north; in {crs and crs.name} x is the northing: name "
+                "them east and north if they are exchanged"
+            )
         if unit_m != 1.0 and stated is not None:
             if self.columns[e].unit is None:
                 own *= unit_m
@@ -625,6 +727,71 @@ class Table:
             own[lost] = np.nan
         return Places(own, crs, notes)
 
+    def way_of_degrees(self, on: CRS) -> tuple[Transformer, str]:
+        """From latitude and longitude in the system that the file states, else WGS 84, to a map; in words.
+
+        Raises
+        ------
+        InputError : no transformation from another datum is known.
+        """
+        source = CRS.from_epsg(self.degrees or 4326)
+        if self.degrees in (None, 4326):
+            return Transformer.from_crs(4326, on, always_xy=True), "taken as WGS 84"
+        with contextlib.suppress(ProjError):
+            way = Transformer.from_crs(source, on, always_xy=True, allow_ballpark=False)
+            return way, f"are in {source.name}, as the file states,"
+        if source.ellipsoid is not None and source.ellipsoid.name in _OF_TODAY:
+            return Transformer.from_crs(4326, on, always_xy=True), f"in {source.name} taken as WGS 84"
+        raise InputError(
+            f"latitude and longitude in {source.name}, by the file",
+            where=self.path,
+            expected=f"a system from which a transformation to {on.name} is known",
+            cure="Transform them with the grid files of the land survey",
+        )
+
+    def refuse_other_map(self, crs: CRS) -> None:
+        """Refuse a map that is not the one which the file states by a code, a name or a zone of UTM.
+
+        Raises
+        ------
+        InputError : they differ, or the rows are of several zones.
+        """
+        if self.code is not None and crs.to_2d().to_epsg() not in (None, self.code):
+            own = CRS.from_epsg(self.code).name
+            raise InputError(
+                f"places in {own} (EPSG:{self.code}) by the file, in {crs.name} as stated",
+                where=self.path,
+                expected="one coordinate system",
+                cure=f"State EPSG:{self.code}, or correct the file",
+            )
+        if not crs.utm_zone:
+            return
+        wanted = int(crs.utm_zone[:-1])
+        remarks = {int(zone) for line in self.remarks for zone in _UTM_ZONE.findall(line)}
+        said = set() if wanted in remarks else remarks
+        for k, column in enumerate(self.columns):
+            if column.words in ("zone", "utm_zone", "zone_utm"):
+                cells = {*self.text(k)}
+                told = {
+                    int(found[1]) for c in cells if (found := re.fullmatch(r"(?:UTM)?\s?(\d\d?)\s?[A-Z]?", c))
+                }
+                # a bare number may count areas of the survey, but hardly by the zones beside its own
+                if told and ("utm" in column.words or all(abs(zone - wanted) <= 1 for zone in told)):
+                    said |= told
+        if said - {wanted}:
+            raise InputError(
+                f"places in {crs.name} as stated, in zone {', '.join(map(str, sorted(said)))} by the file",
+                where=self.path,
+                expected="one zone of UTM",
+                cure="State the zone of the file, or split it by its zones",
+            )
+
+    def _has_sides(self, k: int, quantity: str) -> bool:
+        """Whether numbers alone do not tell an angle: by its name, letters, minutes."""
+        beside = any(_OF_SIDES.search(column.name) for column in self.columns)
+        said = set(re.findall(r"[a-z]+", self.columns[k].name.lower()))
+        return beside or bool(said & _NEGATIVE[quantity]) or bool(np.isnan(self._parsed(self.cells[k])).any())
+
     def angles(self, quantity: str) -> ArrayF:
         """Degrees (n,) of the column of latitude or longitude; NaN where there is no value.
 
@@ -644,6 +811,13 @@ class Table:
             values[row] = _angle(cells.iloc[row], letters)
         values[is_nothing(values, "position")] = np.nan
         values *= _ANGLES.get(self.columns[k].foreign, 1.0)
+        if _PACKED.search(self.columns[k].name) and np.isfinite(self._parsed(cells)).mean() > 0.5:
+            raise InputError(
+                f"numbers such as {cells.iloc[0]} in column {self.columns[k].name}",
+                where=self.path,
+                expected="decimal degrees, or blanks between degrees and minutes",
+                cure="Write decimal degrees: degrees and minutes in one number cannot be told from these",
+            )
         none = ~np.isfinite(values)
         if none.mean() > _MOST_GARBLED and not cells[none].str.lower().isin(WORDS).all():
             bad = int(np.flatnonzero(none)[0])
@@ -654,7 +828,15 @@ class Table:
                 cure="Write decimal degrees, or degrees, minutes and seconds with blanks between them",
             )
         self._lose("without a value", self.columns[k].name, none)
-        for beside in (c for c in (k - 1, k + 1) if 0 <= c < len(self.columns)):
+        said = set(re.findall(r"[a-z]+", self.columns[k].name.lower()))
+        if said & _NEGATIVE[quantity] and not said & _EITHER and not (values < 0).any():
+            values = -values
+            self.notes.append(
+                f"column {self.columns[k].name} counts to the {'south' if letters == 'NS' else 'west'}"
+            )
+        for beside, column in enumerate(self.columns):
+            if abs(beside - k) != 1 and not _OF_SIDES.search(column.name):
+                continue
             side = pd.Series(self.text(beside)).str.upper()
             if len(side) and side.isin([*letters, ""]).all() and side.isin(list(letters)).any():
                 values = np.where(side == letters[1], -np.abs(values), values)
@@ -690,7 +872,8 @@ class Table:
         ------
         InputError : days and months that may be exchanged.
         """
-        date, named, found = self.find("date"), self._all("time"), None
+        date, found = self.find("date"), None
+        named = sorted(self._all("time"), key=lambda k: "utc" not in self.columns[k].name.lower())
         columns: Sequence[int | None] = named or [None]
         for time in columns:
             found = self._moments(date, time)
@@ -724,6 +907,7 @@ class Table:
             return None
         name = self.columns[time if time is not None else date or 0].name
         text = parts[0] if len(parts) == 1 else parts[0].str.cat(parts[1], sep=" ")
+        written = text
         none = f"column {name} is not read: '{text.iloc[0] if len(text) else ''}' is no time with a date"
         number = pd.to_numeric(text, errors="coerce").to_numpy(np.float64)
         if np.isfinite(number).mean() > 0.5:
@@ -758,16 +942,20 @@ class Table:
         notes = []
         if not text.str.contains(r"(?:Z|:\d\d[.\d]*[+-]\d\d(?::?\d\d)?)$", regex=True).any():
             said = [name, *(line for line in self.remarks if re.search(r"(?i)time|zone|uhr", line))]
-            said += [self.text(k)[0] for k, c in enumerate(self.columns) if c.words in _OF_ZONES]
+            of_rows = next((k for k, c in enumerate(self.columns) if c.words in _OF_ZONES), None)
             zone = zone or next((each for each in map(_zone, said) if each is not None), None)
-            if zone is not None:
+            if of_rows is not None and not own:
+                moment = self._in_zones(moment, of_rows)
+                notes.append(f"times are in the zones of column {self.columns[of_rows].name}")
+            elif zone is not None:
                 moment = moment.dt.tz_localize(None).dt.tz_localize(zone, ambiguous="NaT", nonexistent="NaT")
                 moment = moment.dt.tz_convert("UTC")
                 notes.append(f"times are in the zone {zone}, as the table says")
             elif not (own or re.search(r"\b(?:UTC|GMT)\b", name)):
                 notes.append("times state no zone: taken as UTC")
-                if other := next((words for words in said if re.search(r"(?i)gps|local", words)), ""):
-                    notes.append(f"'{other[:60]}' may mean another clock: GPS time is 18 s ahead of UTC")
+                if other := next((words for words in said if _OTHER_CLOCK.search(words)), ""):
+                    ahead = ": GPS time is 18 s ahead of UTC" if "gps" in other.lower() else " or zone"
+                    notes.append(f"'{other[:60]}' may mean another clock{ahead}")
         unix = moment.dt.tz_localize(None).to_numpy("datetime64[ns]").astype(np.int64) / 1e9
         unix[moment.isna()] = np.nan
         back = np.diff(unix)
@@ -781,16 +969,60 @@ class Table:
             notes.append(
                 f"times pass midnight and the date in column {self.columns[date or 0].name} stays: next day"
             )
+        if 0 < (lost := int(moment.isna().sum())) < len(moment):
+            first = int(np.argmax(moment.isna()))
+            notes.append(f"{lost:,} times of column {name} are not read, the first '{written.iloc[first]}'")
         if (unix[moment.notna()] % DAY_S == 0.0).all():
             notes = [f"column {name} holds days without a time: midnight of UTC is taken"]
         return np.where(moment.notna() & possible_unix(unix), unix, np.nan), notes
+
+    def _in_zones(self, moment: "pd.Series[Any]", k: int) -> "pd.Series[Any]":
+        """Times in UTC of times by the clock, in the zone that a column has for each row.
+
+        Raises
+        ------
+        InputError : a zone that is not known.
+        """
+        texts, local = pd.Series(self.text(k)), moment.dt.tz_localize(None)
+        out = moment.copy()
+        for text in texts.unique():
+            zone = _zone(text)
+            if _NUMBER.fullmatch(text) and not re.fullmatch(r"[+-]\d{4}", text):  # hours, minutes, seconds
+                size = float(text)
+                per_hour = next(u for u, most in ((1, 14), (60, 840), (3600, np.inf)) if abs(size) <= most)
+                quarters = 4 * size / per_hour
+                zone = (
+                    dt.timezone(dt.timedelta(hours=size / per_hour))
+                    if quarters % 1 == 0 and abs(quarters) <= 56
+                    else None
+                )
+            elif not text or {*re.findall("[A-Z]+", text)} & {"UTC", "GMT", "Z"}:
+                zone = zone or dt.UTC
+            if zone is None:
+                raise InputError(
+                    f"'{text}' in column {self.columns[k].name}",
+                    where=self.path,
+                    expected="a zone of time, such as UTC+2, CEST or Europe/Berlin",
+                    cure="Write it so, or the times in UTC",
+                )
+            rows = (texts == text).to_numpy()
+            of = local[rows].dt.tz_localize(zone, ambiguous="NaT", nonexistent="NaT")
+            out[rows] = of.dt.tz_convert("UTC")
+        return out
 
     def _iso(self, text: "pd.Series[str]", found: pd.DataFrame) -> "pd.Series[str]":
         """Times with year, month and day in the order of ISO 8601."""
         a, b, year = (pd.to_numeric(found[k], errors="coerce") for k in (0, 2, 3))
         point = (found[1] == ".").any()
-        if not point and b.max() <= 12 and year.max() <= 31 and a.nunique() == 1 and a.max() <= _LAST_YEAR:
-            if year.nunique() == 1 and a.max() != year.max():
+        last = year.nunique() > 1
+        if (
+            (last or not point)
+            and b.max() <= 12
+            and year.max() <= 31
+            and a.nunique() == 1
+            and a.max() <= _LAST_YEAR
+        ):
+            if last == point and a.max() != year.max():
                 raise InputError(
                     f"dates such as {text.iloc[0]}, in which the first or the last number may be the year",
                     where=self.path,
@@ -832,7 +1064,14 @@ class Table:
             fits = _OF_IMAGES | (_ANGLES.keys() if ours in _OF_ATTITUDE else set())
             if self.columns[k].foreign and self.columns[k].foreign not in fits:
                 self.numbers(k)  # refuses it
+            if ours in ("z", "up_m", "h_ell_m"):
+                self._refuse_depths(k)
         columns = {ours: self._plain(k) for ours, k in where.items()}
+        for ours, quantity in (("lat_deg", "lat"), ("lon_deg", "lon")):
+            k = where.get(ours)
+            if k is not None and self.find(quantity) == k and self._has_sides(k, quantity):
+                told = zip(self.angles(quantity).tolist(), columns[ours], strict=True)
+                columns[ours] = [repr(value) if np.isfinite(value) else cell for value, cell in told]
         return (
             [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
             if columns
@@ -879,10 +1118,10 @@ def _zone(text: str) -> dt.tzinfo | None:
         with contextlib.suppress(ZoneInfoNotFoundError, OSError, ValueError):
             return ZoneInfo(found[0])
     if found := _OFFSET.search(text):
-        minutes = 60 * int(found[2]) + int(found[3] or 0)
+        minutes = 60 * int(found[2]) + int(found[3] or 0) + round(60 * float(f"0.{found[4] or 0}"))
         return dt.timezone(dt.timedelta(minutes=-minutes if found[1] == "-" else minutes))
-    hours = next((_ZONES[word] for word in re.findall(r"[A-Z]+", text) if word in _ZONES), 0.0)
-    return dt.timezone(dt.timedelta(hours=hours)) if hours else None
+    hours = {_ZONES[word] for word in re.findall(r"[A-Z]+", text) if word in _ZONES}
+    return dt.timezone(dt.timedelta(hours=hours.pop())) if len(hours) == 1 and any(hours) else None
 
 
 def _angle(text: str, letters: str) -> float:
@@ -983,7 +1222,6 @@ def read_places(
         )
     placed = {word for quantity in ("east", "north", "lat", "lon") for word in NAMES[quantity].split()}
     frame = frame[[name for name in frame if column_of(str(name)).words not in placed]]
-    frame = frame.assign(x=at[:, 0], y=at[:, 1])
     if on is not None and states is not None and states.is_projected and not states.equals(on):
         check_places(
             at[:, :2],
@@ -991,10 +1229,16 @@ def read_places(
             where=f"{path}, which states {states.name}",
             cure="campaign.crs: without it the file's own counts",
         )
+    notes = list(drawn.notes)
+    if on is not None and (metric := in_metres(on)).factors[0] != 1.0:
+        notes.append(f"east and north taken in the unit of {on.name} ({metric.factors[0]:.10g} m)")
+        at[:, :2] *= metric.factors[0]
+        on = metric.crs
+    frame = frame.assign(x=at[:, 0], y=at[:, 1])
     if "z" not in frame and at.shape[1] > 2:
         frame = frame.assign(z=at[:, 2])
     table = Table.of(frame, path)
-    return _heed(_remarks("", (), table), table), Places(at[:, :2], on, list(drawn.notes))
+    return _heed(_remarks("", (), table), table), Places(at[:, :2], on, notes)
 
 
 def _remarks(text: str, above: Sequence[str], table: Table) -> list[tuple[int, str]]:
@@ -1019,8 +1263,9 @@ def _remarks(text: str, above: Sequence[str], table: Table) -> list[tuple[int, s
         if re.search(r"[^\W\d_]{3}", words[n]) and not _are_units(re.split(r"[,;|\s]+", found[n]))
     }
     for k, column in enumerate(table.columns):
-        if re.fullmatch(r"(?:depth_)?(?:units?|uom|einheit)", column.words):
-            said |= {int(n): f"unit: {cell}" for n, cell in zip(table.line, table.text(k), strict=True)}
+        if _OF_UNITS.fullmatch(column.words):
+            what = "depth unit" if _OF_HEIGHTS.search(column.words.replace("_", " ")) else "unit"
+            said |= {int(n): f"{what}: {cell}" for n, cell in zip(table.line, table.text(k), strict=True)}
     return list(said.items())
 
 
@@ -1029,10 +1274,13 @@ def _heed(remarks: Sequence[tuple[int, str]], table: Table) -> Table:
 
     What may matter and is not read, such as a draught, a datum or a zone of time, is quoted.
     """
-    bare = all(column.unit is None for column in table.columns)
-    codes = set()
+    named = [column for column in table.columns if column.unit is not None]
+    upright = {*f"{NAMES['depth']} {NAMES['height']}".split()}
+    bare = not any(column.words in upright for column in named)
+    codes, ups = set[int](), set[Unit]()
     for number, line in remarks:
-        if bare and unit_in_words(line) is not None:
+        # beside x_m, y_m a unit of depths is still missing
+        if (not named or (bare and _OF_HEIGHTS.search(line))) and unit_in_words(line) is not None:
             raise InputError(
                 f"'{line[:60]}' beside columns that name no unit: {table.listed()}",
                 expected="a unit behind the name of each column that it is meant for, such as depth_ft",
@@ -1043,16 +1291,38 @@ def _heed(remarks: Sequence[tuple[int, str]], table: Table) -> Table:
         if matters(line):
             table.notes.append(f"line {number} says '{line[:80]}'")
     for k, column in enumerate(table.columns):
-        if column.words in _FLAGS and len({*table.text(k)}) > 1:
+        if _FLAGS & {*column.words.split("_")} and len({*table.text(k)}) > 1:
             table.notes.append(f"column {column.name} may mark rows that do not count: it is not read")
-        if column.words in ("epsg", "srid"):
-            codes |= {int(cell) for cell in {*table.text(k)} if re.fullmatch(r"\d{4,5}", cell)}
-    maps = []
+        cells = {*table.text(k)} if column.words in (*_OF_SYSTEMS, "datum") else set()
+        if column.words in f"{NAMES['lat']} {NAMES['lon']}".split():  # Latitude (NAD27)
+            cells = set(re.findall(r"[A-Z]{2,}[ _-]?\d{2,4}\b", column.name))
+        if len(cells) <= _FEW_SYSTEMS:
+            codes |= {code for cell in cells if (code := _code_of(cell)) is not None}
+            ups |= {unit for c in cells if " + " in c and (unit := column_of(c).unit) is not None}
+    maps, degrees = [], []
     for code in codes:
         with contextlib.suppress(CRSError):
-            maps += [code] * CRS.from_epsg(code).is_projected
+            known = CRS.from_epsg(code)
+            maps += [code] * known.is_projected
+            degrees += [code] * (known.is_geographic and len(known.axis_info) == 2)
     lines = tuple(line for _, line in remarks)
-    return replace(table, code=maps[0] if len(maps) == 1 else None, remarks=lines)
+    if len(ups) == 1:
+        table = table.heights_in(ups.pop())
+    return replace(
+        table,
+        code=maps[0] if len(maps) == 1 else None,
+        degrees=degrees[0] if len(degrees) == 1 else None,
+        remarks=lines,
+    )
+
+
+def _code_of(text: str) -> int | None:
+    """EPSG code of a coordinate system by its number or its name, of one with heights that of the map."""
+    number = re.fullmatch(r"(?:EPSG:)?(\d{4,5})", text)
+    with contextlib.suppress(CRSError):
+        found = CRS.from_epsg(int(number[1])) if number else CRS.from_user_input(text.partition(" + ")[0])
+        return found.to_2d().to_epsg() if found.is_projected else found.to_epsg()
+    return None
 
 
 def _numbers_alone(text: str, separator: str, first: int) -> pd.DataFrame | None:
@@ -1200,7 +1470,10 @@ def _header(
         if row and not units and _are_units(row):
             units = row
         elif row and len(row) >= max(1, usual - 1) and not any(values[k]):
-            return row, units, first
+            if separator == r"\s+" and len(row) > usual:  # a unit in brackets belongs to the name before it
+                row = re.split(r"\s+(?![(\[])(?![^(\[]*[)\]])", " ".join(row))
+            above = [c for c in few[k - 1] if c] if k else []
+            return row, above if not units and len(above) == len(row) and _are_units(above) else units, first
         elif row and not 0 <= named < k:  # a remark between the names and the numbers
             break
     comments = [x.lstrip() for x in lines[:first] if x.lstrip().startswith(_HEADS)]
@@ -1223,10 +1496,13 @@ def _are_units(row: Sequence[str]) -> bool:
     """Whether a line below the names holds units."""
     words = [c.strip("()[]{}").lower() for c in row if c]
     known = [
-        unit_of_word(w) is not None
+        unit_of_word(re.split(r"[\s,]", w)[0]) is not None  # ft MLLW
+        or unit_of_word(w) is not None
         or not w.strip("-=_")
         or w in _NO_LENGTHS
-        or w in {"deg", "°", "degrees", "-", "1", "utc"}
+        or re.fullmatch(
+            r"°|-|1|utc|(?:decimal )?deg(?:rees?)?(?:[_ ](?:north|east))?|[ymdhs]+([-/:.][ymdhs]+)+", w
+        )
         for w in words
     ]
     return bool(words) and all(known)
@@ -1275,7 +1551,7 @@ def _whole_rows(table: Table, head: list[str] | None, width: int) -> Table:
     """The table without repeated headers and without rows of more cells than there are columns."""
     cells = table.cells
     keep = np.ones(len(cells), dtype=np.bool_)
-    total = cells[0].str.lower().isin(_TOTALS).to_numpy(np.bool_).copy()
+    total = cells[0].str.lower().str.rstrip(":").isin(_TOTALS).to_numpy(np.bool_).copy()
     total[:-_LAST_ROWS] = False
     if total.any() and not total.all():
         table.losses["of a total or a mean"] = _count(total, table.line)
@@ -1286,10 +1562,19 @@ def _whole_rows(table: Table, head: list[str] | None, width: int) -> Table:
             table.losses["with the names of the columns again"] = _count(again, table.line)
             keep &= ~again
         names = cells[0].str.lower().isin([head[0].lower(), *(w for x in NAMES.values() for w in x.split())])
+        of_numbers = {w for q in ("east", "north", "lat", "lon", "height", "depth") for w in NAMES[q].split()}
+        k = next((k for k, c in enumerate(table.columns) if c.words in of_numbers), 0)
+        names |= cells[k].str.fullmatch(r"[^\W\d_]\D*") & ~cells[k].str.lower().isin(WORDS)
         for row in np.flatnonzero(names.to_numpy() & keep).tolist():
-            other = [column_of(c).words for c in cells.iloc[row] if c]
+            others = [column_of(c) for c in cells.iloc[row] if c]
+            other = [c.words for c in others]
             known = [w for w in other if any(w in x.split() for x in NAMES.values())]
-            if len(known) >= 2 and other != [c.words for c in table.columns][: len(other)]:
+            of_unit = [
+                a.name
+                for a, b in zip(others, table.columns, strict=False)
+                if a.unit is not None and b.unit is not None and a.unit != b.unit
+            ]
+            if len(known) >= 2 and (of_unit or other != [c.words for c in table.columns][: len(other)]):
                 raise InputError(
                     f"a second header with other columns: {', '.join(c for c in cells.iloc[row] if c)}",
                     where=f"{table.path}:{table.line[row]}",
@@ -1318,11 +1603,9 @@ def _with_units(columns: tuple[Column, ...], below: Sequence[str]) -> tuple[Colu
     """The columns with the units of a line below their names."""
     out = list(columns)
     for k, word in enumerate(below[: len(out)]):
-        bare = word.strip("()[]{}").lower()
-        if (unit := unit_of_word(bare)) is not None:
-            out[k] = replace(out[k], unit=unit)
-        elif bare in _NO_LENGTHS:
-            out[k] = replace(out[k], foreign=bare)
+        unit, foreign = _in_brackets(word.strip("()[]{}"))
+        if unit is not None or foreign:
+            out[k] = replace(out[k], unit=unit, foreign=foreign)
     return tuple(out)
 
 

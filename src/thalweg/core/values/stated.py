@@ -42,7 +42,7 @@ _MATTERS: Final = re.compile(
     r"(?i)draught|draft|datum|geoid|dhhn|navd|ngvd|\begm|tide|gps time|time (?:zone|system)|local time|"
     r"daylight|offset|shift|speed of sound|sound (?:speed|velocity)|positive|origin|cent(?:re|er)\b|correct|"
     r"\bto (?:world|body|camera)|\b(?:ned|enu|mm|feet|ft|utm|utc|gmt|msl)\b|\+proj|coordinate system|"
-    r"reference frame|epsg"
+    r"reference frame|epsg|scale factor|multipl"
 )
 _DOWNWARDS: Final = re.compile(
     r"(?i)positive[ -]*down|down(?:wards?)?[ -]*(?:is )?positive|\bz\b\W+(?:is )?(?:the )?(?:water )?depth"

@@ -41,13 +41,15 @@ US_SURVEY_FOOT: Final = Unit("US survey foot", 1200 / 3937)
 FATHOM: Final = Unit("fathom", 1.8288)
 _WORDS: Final[Mapping[Unit, str]] = {
     METRE: "m metre metres meter meters mtr mtrs",
-    Unit("decimetre", 0.1): "dm decimetre decimetres decimeter decimeters",
-    Unit("centimetre", 0.01): "cm centimetre centimetres centimeter centimeters",
+    Unit("decimetre", 0.1): "dm decimetre decimetres decimeter decimeters dezimeter",
+    Unit("centimetre", 0.01): "cm centimetre centimetres centimeter centimeters zentimeter",
     Unit("millimetre", 0.001): "mm millimetre millimetres millimeter millimeters",
     Unit("kilometre", 1000.0): "km kilometre kilometres kilometer kilometers",
-    FOOT: "ft foot feet ' ′ ft_int ft_intl feet_int ift int_ft international_foot international_feet intl_ft",
+    FOOT: "ft foot feet ' ′ ft_int ft_intl feet_int ift int_ft international_foot international_feet intl_ft "
+    "fuß fuss pies pieds",
     US_SURVEY_FOOT: "ft_us ftus us_ft usft us_foot us_feet foot_us feet_us survey_foot survey_feet "
-    "us_survey_foot us_survey_feet usfoot usfeet sft ussft ft_survey feet_survey",
+    "us_survey_foot us_survey_feet us_survey_ft survey_ft usfoot usfeet sft ussft ft_survey feet_survey "
+    "u_s_ft u_s_feet u_s_survey_foot u_s_survey_feet u_s_survey_ft",
     FATHOM: "ftm fathom fathoms fth fm",
     Unit("inch", 0.0254): "in inch inches",
     Unit("yard", 0.9144): "yd yds yard yards",
@@ -56,9 +58,12 @@ _OF_WORD: Final = {word: unit for unit, words in _WORDS.items() for word in word
 SPOKEN: Final = frozenset(_OF_WORD) - {*_WORDS[METRE].split(), "in", "fm", "'", "′"}
 """Words of units other than metres that mean nothing else in a sentence or a name."""
 _SPOKEN_FIRST: Final = "|".join(sorted((w.replace("_", r"[ _.]*") for w in SPOKEN), key=len, reverse=True))
-_STATED: Final = re.compile(rf"(?i)(?:\bunits?\b[^.;]{{0,20}}?|\bin |[\[(]\s*)\b({_SPOKEN_FIRST})\b")
+_STATED: Final = re.compile(
+    rf"(?i)(?:\b(?:units?|einheit(?:en)?)\b[^.;]{{0,20}}?|\bin |[\[(]\s*)\b({_SPOKEN_FIRST})\b"
+)
 _OF_VALUES: Final = re.compile(
-    r"(?i)\b(?:units?|values?|numbers|coordinates|positions?|depths?|heights?|elevations?|[xyz]|d[est]m)\b"
+    r"(?i)\b(?:units?|values?|numbers|coordinates|positions?|depths?|heights?|elevations?|[xyz]|d[est]m|"
+    r"einheit(?:en)?|werte?|tiefen?|höhen?|koordinaten)\b"
 )
 _OF_OTHERS: Final = re.compile(
     r"(?i)antenna|instrument|sensor|accuracy|precision|sigma|error|cell|resolution|spacing|dra(?:ugh|f)t|offset"
@@ -76,7 +81,7 @@ def unit_of_word(text: str) -> Unit | None:
     >>> unit_of_word("degrees") is None
     True
     """
-    bare = re.sub(r"[^a-z0-9'′]+", "_", text.strip().lower()).strip("_")
+    bare = re.sub(r"[^a-z0-9'′ß]+", "_", text.strip().lower()).strip("_")
     return _OF_WORD.get(bare)
 
 
@@ -89,7 +94,10 @@ def unit_in_words(text: str) -> Unit | None:
     ('foot', 'US survey foot')
     >>> unit_in_words("antenna height [mm]: 1200") is None
     True
+    >>> unit_in_words("DepthUnits=ft").name, unit_in_words("VERTICAL_UNITS;Feet").name
+    ('foot', 'foot')
     """
+    text = re.sub(r"(?<=[a-z])(?=[A-Z])|_", " ", re.sub(r"[;|\t](?=\S)", ": ", text))
     found = None if _OF_OTHERS.search(text) or not _OF_VALUES.search(text) else _STATED.search(text)
     return None if found is None else unit_of_word(found[1])
 

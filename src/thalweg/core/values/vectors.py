@@ -41,6 +41,18 @@ _PARTS: Final = (".shx", ".dbf", ".prj", ".cpg", ".sbn", ".sbx", ".qix")
 """Files beside a Shapefile's .shp."""
 _DXF: Final = re.compile(rb"\A(?:\s*999\r?\n[^\n]*\n)*\s*0\s+SECTION\s")
 _CRS: Final = re.compile(rb'"crs"\s*:\s*\{(?:[^{}]*\{[^{}]*"name"\s*:\s*"([^"]*)")?')
+_DXF_UNIT: Final = re.compile(rb"\$INSUNITS\s+70\s+(\d+)")
+_UNITS_OF_DXF: Final = {
+    1: "inches",
+    2: "feet",
+    4: "millimetres",
+    5: "centimetres",
+    7: "kilometres",
+    10: "yards",
+    14: "decimetres",
+    21: "US survey feet",
+}
+_ALTITUDE_MODE: Final = re.compile(rb"<(?:gx:)?altitudeMode>\s*(\w+)")
 _DEGREES: Final = (180.0, 90.0)
 _POINT, _LINES, _POLYGON, _FIRST_MULTIPLE = 0, (1, 2), 3, 4
 """Numbers of the types of geometries in shapely."""
@@ -267,6 +279,7 @@ def read_vectors(
         text = table[name].astype("string").str.removesuffix(".0")
         table = table[(text == value.removesuffix(".0")).fillna(False)]
     table, notes = _simple(table)
+    notes += _not_followed(path, kind, table)
     if not len(table):
         raise InputError(
             "nothing that is drawn"
@@ -420,6 +433,19 @@ def _simple(table: Any) -> tuple[Any, list[str]]:
         table = table.set_geometry(shapes).explode(ignore_index=True)
         lose(np.asarray(table.geometry.is_empty), "polygons without an area")
     return table.reset_index(drop=True), notes
+
+
+def _not_followed(path: Path, kind: str, table: Any) -> list[str]:
+    """Statements of a KML about its heights, and of a drawing about its unit, that programs seldom mean."""
+    if kind == "dxf" and (found := _DXF_UNIT.search(_head(path))) and int(found[1]) in _UNITS_OF_DXF:
+        return [
+            f"the drawing states its unit as {_UNITS_OF_DXF[int(found[1])]} ($INSUNITS): metres are taken"
+        ]
+    if kind == "kml" and table.has_z.any():
+        modes = {mode.decode() for mode in _ALTITUDE_MODE.findall(path.read_bytes())} or {"clampToGround"}
+        if modes != {"absolute"}:
+            return [f"heights have the altitudeMode {', '.join(sorted(modes))}: taken as they stand"]
+    return []
 
 
 def _stated(path: Path, kind: str, crs: Any) -> CRS | None:

@@ -4,12 +4,14 @@ A table of place and depth in one row is no log of a stream: `thalweg bed` reads
 known by their names, times as `thalweg.ingest.tables` reads them.
 """
 
+import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 import pandas as pd
+from pyproj import CRS
 
 from thalweg.core import InputError, frame_of, gps_from_unix
 from thalweg.ingest import (
@@ -103,12 +105,20 @@ def _read(
 
 
 def _positions(table: Table, report: IntegrityReport) -> pd.DataFrame:
-    k = next((k for k, column in enumerate(table.columns) if "ellips" in column.name.lower()), None)
+    names = [column.name.lower() for column in table.columns]
+    # the separation of geoid and ellipsoid is no height
+    k = next(
+        (k for k, n in enumerate(names) if "ellips" in n and not re.search("separ|geoid|undul", n)), None
+    )
     if k is None:
         report.note("No column of ellipsoidal heights: positions have none.")
     report.note("Positions without a kind of fix: taken as single, without standard deviations.")
     height = np.full(len(table), np.nan) if k is None else table.numbers(k, "height")
     places = {"lat_deg": table.angles("lat"), "lon_deg": table.angles("lon"), "h_ell_m": height}
+    if table.degrees not in (None, 4326):
+        way, words = table.way_of_degrees(CRS.from_epsg(4326))
+        places["lon_deg"], places["lat_deg"] = way.transform(places["lon_deg"], places["lat_deg"])
+        report.note(f"latitude and longitude {words} and transformed to WGS 84")
     return pd.DataFrame(places).assign(fix="single", n_sats=-1)
 
 
