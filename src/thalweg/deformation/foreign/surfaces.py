@@ -40,7 +40,7 @@ from thalweg.core import (
     table_kind,
     write_table,
 )
-from thalweg.core.values import Vectors, heights_in_words, same_heights, vertical_of
+from thalweg.core.values import Vectors, heights_in_words, horizontal_of, same_heights, vertical_of
 from thalweg.deformation import torus_spectrum
 from thalweg.settings.sections import DSM_ENDINGS
 
@@ -238,7 +238,7 @@ def _same(a: Frame, b: Frame) -> bool:
     """Whether two frames are one on the map."""
     if isinstance(a, LocalFrame) or isinstance(b, LocalFrame):
         return a == b
-    one, two = (each and (each.sub_crs_list[0] if each.is_compound else each).to_2d() for each in (a, b))
+    one, two = (each and horizontal_of(each) for each in (a, b))
     return bool(one.equals(two, ignore_axis_order=True)) if one is not None else two is None
 
 
