@@ -342,6 +342,14 @@ def difference_of_surfaces(
             f"Centres of cells of the second raster lie up to {apart:.3f} m away from those of the first"
             + (f"; resampled: {resample}." if resample else " and count as the same.")
         )
+    (east, north), size = after.axes_m(), before.cell_m * before.height_m.shape[::-1]
+    across = (east > before.corner_m[0]) & (east < before.corner_m[0] + size[0])
+    along = (north < before.corner_m[1]) & (north > before.corner_m[1] - size[1])
+    if beyond := int(np.isfinite(after.height_m).sum() - np.isfinite(after.height_m[along][:, across]).sum()):
+        notes.append(
+            f"{beyond * after.cell_area_m2:,.1f} m2 of the second raster lie beyond the first and are in no "
+            "part."
+        )
     out = np.zeros(before.height_m.shape, bool)
     for each in leave_out:
         inside = each.contain(before.centres_m()).reshape(out.shape)
