@@ -162,6 +162,7 @@ def a_gis_tif(path: Path, bands: ArrayF, names: tuple[str, ...] = (), crs: int =
     [
         (("Tiefe",), {}, 25833, r"depths \(Tiefe\)"),
         ((), {"NETCDF_VARNAME": "depth"}, 25833, r"depths \(depth\)"),
+        ((), {"positive": "Down"}, 25833, r"depths \(positive down\)"),
         ((), {"standard_name": "sea_floor_depth_below_geoid"}, 25833, r"depths \(sea_floor_depth"),
         (("stdev",), {}, 25833, "a band of 'stdev'"),
         (("Slope (degree)",), {}, 25833, r"a band of 'Slope \(degree\)'"),
@@ -174,6 +175,11 @@ def test_bands_and_maps_of_something_else_are_refused(tmp_path, names, tags, crs
     with pytest.raises((InputError, UnsupportedError), match=found):
         read_dsm(path)
     assert len(read_dsm(a_gis_tif(path, relief(), ("dem slope-corrected",))).points_m()) == 600
+
+
+def test_a_tag_states_the_unit(tmp_path):
+    dsm = read_dsm(a_gis_tif(tmp_path / "a.tif", relief() / 0.3048, VERTICAL_UNITS="Feet"))
+    assert dsm.height_m == pytest.approx(relief(), abs=1e-5)
 
 
 def test_an_opaque_band_of_any_type_is_a_mask(tmp_path):
@@ -333,8 +339,11 @@ def test_the_command_writes_bands_and_volumes(tmp_path, capsys):
     before, after = two(tmp_path)
     words = ["compare-clouds", str(before.path), str(after.path), "--sigma-a", "0.03", "--sigma-b", "0.04"]
     out = tmp_path / "changes.tif"
-    assert main([*words, "--correlation", "4", "-o", str(out)]) == 0
+    assert main([*words, "-o", str(out)]) == 0
+    assert "note: No --correlation-m is stated: errors of cells count as" in capsys.readouterr().out
+    assert main([*words, "--correlation", "4", "-o", str(out), "--force"]) == 0
     printed = capsys.readouterr().out
+    assert "errors of cells count" not in printed
     assert "600 cells, 510 with a difference" in printed
     assert "  erosion: 160.0 m2, -80.0 m3 (sigma " in printed
     assert "note: a.tif: 30 of 600 cells without a height (undeclared value -9999)." in printed

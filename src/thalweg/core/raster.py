@@ -59,6 +59,7 @@ _OTHER: Final = re.compile(
 """What GIS make of heights, by the names of bands."""
 _DEPTH: Final = re.compile(r"(?i)(?<!bit )(?:^|_|\b)(?:depth|(?:wasser)?tiefe|profond|profundi|diepte)")
 _TAGS_OF_NAMES: Final = ("long_name", "standard_name", "netcdf_varname", "tifftag_imagedescription")
+_UNIT_TAG: Final = re.compile(r"(?:(?:vertical|vert|z|elevation|height|dem)_?)?units?")
 _IN_BRACKETS: Final = re.compile(r"[\[(]([^\])]+)[\])]\s*$")
 
 
@@ -330,9 +331,10 @@ def _heights(file: Any, path: Path, nodata: float | None) -> Dsm:
     keys = _geo_keys(path)
     crs = CRS.from_wkt(file.crs.to_wkt()) if file.crs else None
     tags = {key.lower(): value for key, value in (file.tags() | file.tags(number)).items()}
-    up = _unit_of_band(file.units[number - 1] or tags.get("units"), names[number - 1], path)
+    tagged = next((tags[key] for key in sorted(tags) if _UNIT_TAG.fullmatch(key)), None)
+    up = _unit_of_band(file.units[number - 1] or tagged, names[number - 1], path)
     words = [names[number - 1], *(tags.get(key, "") for key in _TAGS_OF_NAMES)]
-    if "down" in tags.get("positive", "") or any(_DEPTH.search(w) for w in words):
+    if "down" in tags.get("positive", "").lower() or any(_DEPTH.search(w) for w in words):
         raise UnsupportedError(
             f"depths ({'; '.join(filter(None, words)) or 'positive down'})",
             expected="heights, positive upwards", where=path,
@@ -632,7 +634,7 @@ def _refuse_mixed(heights: ArrayF, gone: list[float], path: Path) -> None:
         share = (heights - middle) / (value - middle)
         mixed = (share > _MIXED) & (share < 1.0) & (np.abs(heights - middle) > 20.0 * max(high - low, 1.0))
         if mixed.any():
-            mixed &= binary_dilation(np.isnan(heights), np.ones((3, 3)))
+            mixed &= binary_dilation(np.isnan(heights), np.ones((3, 3), bool))
         if n := int(mixed.sum()):
             raise InputError(
                 f"{n:,} cells beside those without a height are {heights[mixed].min():g} to "

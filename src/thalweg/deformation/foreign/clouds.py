@@ -29,12 +29,12 @@ from thalweg.core import (
     table_kind,
     write_table,
 )
-from thalweg.core.geometry import TriangleMesh, read_ply_header
+from thalweg.core.geometry import TriangleMesh
 from thalweg.core.values import METRE, check_degrees, check_heights, check_stated, units_of_crs
 from thalweg.deformation import CHANGES, Comparison, cloud_to_cloud, judge_changes, measure_distances
 from thalweg.deformation.foreign.surfaces import one_frame
-from thalweg.ingest import IntegrityReport, read_text_table
-from thalweg.ingest.clouds import NO_USE, frame_of_remarks, note_coarse, read_cloud, single_step_m
+from thalweg.ingest import read_text_table
+from thalweg.ingest.clouds import NO_USE, corners_of_mesh, read_cloud
 from thalweg.settings.sections import DSM_ENDINGS, TEXT_ENDINGS, Accuracy, ReferenceSettings
 from thalweg.surface import (
     Surface,
@@ -401,7 +401,9 @@ def compare_with_surface(
         triangles = raster.vertices_m, raster.faces
         vertices = Points(dsm.points_m(), dsm.frame, reference, dsm.notes)
     elif triangles is not None:
-        vertices = _corners(reference, triangles[0])
+        told = corners_of_mesh(reference, triangles[0])
+        about = tuple(f"{reference.name}: {text}" for text in told.report.notes)
+        vertices = Points(told.points, told.frame, reference, about)
     else:
         vertices = read_points(reference)
     frame, notes = one_frame([points, vertices])
@@ -476,17 +478,6 @@ def compare_with_surface(
         compared = points.xyz_m[used & ~shared] - origin
         facts["registration"] = _registered(compared, surface, origin, reach, outlier_nmads)
     return table, frame, facts, notes
-
-
-def _corners(path: Path, xyz_m: ArrayF) -> Points:
-    """Corners (n, 3) of a mesh (PLY), with what its file says of them."""
-    header = read_ply_header(path, cure="Export the mesh again as PLY")
-    report = IntegrityReport.of("mesh", "", [path])
-    frame = frame_of_remarks(header.comments, path, report)
-    types = dict(next(each.fields for each in header.elements if each.name == "vertex"))
-    single = [i for i, axis in enumerate("xyz") if types[axis] == "f4"]
-    note_coarse(xyz_m, single_step_m(xyz_m[:, single]) if single else 0.0, report)
-    return Points(xyz_m, frame, path, tuple(f"{path.name}: {text}" for text in report.notes))
 
 
 def _registered(

@@ -1,8 +1,2 @@
-from .reader import (
-    NO_USE as NO_USE,
-    frame_of_remarks as frame_of_remarks,
-    note_coarse as note_coarse,
-    read_cloud as read_cloud,
-    single_step_m as single_step_m,
-)
+from .reader import NO_USE as NO_USE, corners_of_mesh as corners_of_mesh, read_cloud as read_cloud
 from .reference import gather_reference as gather_reference, to_world as to_world

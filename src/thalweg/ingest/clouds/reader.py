@@ -56,6 +56,7 @@ from thalweg.core.values import (
     is_nothing,
     matters,
     onto_map,
+    refuse_depths,
     unit_in_words,
 )
 from thalweg.ingest import (
@@ -308,6 +309,7 @@ def read_e57(path: Path, report: IntegrityReport) -> Cloud:
         with library_errors(path, "read the E57 structure", cure):
             n_scans = file.scan_count
             frame = _crs(file, report)
+            refuse_depths(frame, path)
         for index in range(n_scans):
             part = _scan(file, index, path, report)
             if part is not None:
@@ -475,7 +477,7 @@ def read_ply(path: Path, report: IntegrityReport) -> Cloud:
     header = read_ply_header(path, cure="Export or copy the file again")
     form, elements = header.form, header.elements
     report.format = f"PLY {form}"
-    frame = frame_of_remarks(header.comments, path, report)
+    frame = _frame_of_remarks(header.comments, path, report)
     if header.comments:
         report.details["comments"] = "; ".join(text.strip() for text in header.comments)[:500]
     index = next((i for i, e in enumerate(elements) if e.name == "vertex"), None)
@@ -497,8 +499,8 @@ def read_ply(path: Path, report: IntegrityReport) -> Cloud:
     return cloud
 
 
-def frame_of_remarks(comments: list[str], path: Path, report: IntegrityReport) -> LocalFrame | None:
-    """The frame that a PLY file of Thalweg states in its comments; notes of what those of others may change.
+def _frame_of_remarks(comments: list[str], path: Path, report: IntegrityReport) -> LocalFrame | None:
+    """The frame that a mesh of Thalweg states in its comments; notes of what those of others may change.
 
     Raises
     ------
@@ -560,6 +562,7 @@ def read_pcd(path: Path, report: IntegrityReport) -> Cloud:
             cure="Convert it with pcl_convert_pcd_ascii_binary <in> <out> 0",
         )
     report.format = f"PCD {form}"
+    _frame_of_remarks([line[1:] for line in text.splitlines() if line.startswith("#")], path, report)
     if head.get("VIEWPOINT", "").split()[:7] not in ([], ["0", "0", "0", "1", "0", "0", "0"]):
         report.note(
             f"It states a VIEWPOINT ({head['VIEWPOINT'].strip()}): coordinates are taken as they stand."
@@ -669,13 +672,30 @@ def _without_height(z: ArrayF, good: ArrayB) -> ArrayB:
     return none
 
 
-def note_coarse(points: ArrayF, step_m: float, report: IntegrityReport) -> None:
+def _note_coarse(points: ArrayF, step_m: float, report: IntegrityReport) -> None:
     """Tell of coordinates (n, 3) whose number format is coarser than a millimetre."""
     if step_m > _FINE_M:
         report.note(
             f"Coordinates up to {np.abs(points).max():.0f} m resolve {step_m * 1000:.3g} mm only (single "
             "precision, or a coarse scale). Export doubles, a finer scale, or coordinates with a shift."
         )
+
+
+def corners_of_mesh(path: Path, xyz_m: ArrayF) -> Cloud:
+    """Corners (n, 3) of a mesh (PLY), with the frame and what else its file says of them.
+
+    Raises
+    ------
+    InputError : the header is damaged, or states another unit than metres.
+    """
+    header = read_ply_header(path, cure="Export the mesh again as PLY")
+    report = IntegrityReport.of("mesh", "", [path])
+    frame = _frame_of_remarks(header.comments, path, report)
+    types = dict(next(each.fields for each in header.elements if each.name == "vertex"))
+    single = [i for i, axis in enumerate("xyz") if types[axis] == "f4"]
+    step_m = single_step_m(xyz_m[:, single]) if single and header.form != "ascii" else 0.0
+    _note_coarse(xyz_m, step_m, report)
+    return Cloud(points=xyz_m, report=report, frame=frame, step_m=step_m)
 
 
 def read_cloud(path: Path) -> Cloud:
@@ -725,7 +745,7 @@ def read_cloud(path: Path) -> Cloud:
         for name in ("points", "intensity", "rgb", "t_gps_s", "ring"):
             if (values := getattr(cloud, name)) is not None:
                 setattr(cloud, name, values[good])
-    note_coarse(cloud.points, cloud.step_m, report)
+    _note_coarse(cloud.points, cloud.step_m, report)
     if isinstance(cloud.frame, CRS) and not cloud.frame.is_geocentric:
         some, degrees = cloud.points[:: max(len(cloud.points) // _SAMPLE, 1), :2], cloud.frame.is_geographic
         try:
