@@ -177,7 +177,9 @@ def test_bands_and_maps_of_something_else_are_refused(tmp_path, names, tags, crs
     assert len(read_dsm(a_gis_tif(path, relief(), ("dem slope-corrected",))).points_m()) == 600
 
 
-def test_a_tag_states_the_unit(tmp_path):
+def test_what_tags_and_names_of_bands_say_of_heights(tmp_path):
+    notes = read_dsm(a_gis_tif(tmp_path / "b.tif", relief(), ("bathymetry",))).notes
+    assert "b.tif: Positive values of 'bathymetry' are taken as heights, not as depths." in notes
     dsm = read_dsm(a_gis_tif(tmp_path / "a.tif", relief() / 0.3048, VERTICAL_UNITS="Feet"))
     assert dsm.height_m == pytest.approx(relief(), abs=1e-5)
 

@@ -390,6 +390,8 @@ def _heights(file: Any, path: Path, nodata: float | None) -> Dsm:
     said = list(stated.notes)
     if (scale, offset) != (1.0, 0.0):
         said.append(f"Heights are the numbers of the file times {scale:g} plus {offset:g}, as it states.")
+    if ours is None and "bathy" in names[number - 1].lower() and np.nanmedian(values) > 0.0:
+        said.append(f"Positive values of {names[number - 1]!r} are taken as heights, not as depths.")
     if file.count > 1 and ours is None:
         said.append(
             f"Band {number} ({names[number - 1] or 'without a name'}) of {file.count} holds the heights."
