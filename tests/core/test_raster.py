@@ -149,15 +149,15 @@ def test_rows_and_columns_may_run_either_way(tmp_path, east, north, code):
     """Heights lie where they lie; a map in US survey feet comes into metres with its corners and cells."""
     path = tmp_path / "a.tif"
     heights = np.array([[11.5, 12.5, 13.5], [21.5, 22.5, 23.5]])[::north, ::east]
+    west, top = (400_000.0, 5_650_000.0) if code == 25833 else (1_000_000.0, 200_000.0)
     place = rasterio.Affine(
-        2.0 * east, 0.0, 400_000.0 if east > 0 else 400_006.0, 0.0, -3.0 * north,
-        900_000.0 if north > 0 else 899_994.0,
-    )  # fmt: skip
+        2.0 * east, 0.0, west if east > 0 else west + 6.0, 0.0, -3.0 * north, top if north > 0 else top - 6.0
+    )
     kind = {"driver": "GTiff", "height": 2, "width": 3, "count": 1, "dtype": "float32"}
     with rasterio.open(path, "w", crs=CRS.from_epsg(code).to_wkt(), transform=place, **kind) as file:
         file.write(np.ascontiguousarray(heights).astype(np.float32), 1)
     found = read_dsm(path)
     unit = 1.0 if code == 25833 else 1200 / 3937
-    assert_allclose(found.corner_m, np.array([400_000.0, 900_000.0]) * unit, rtol=1e-12)
+    assert_allclose(found.corner_m, np.array([west, top]) * unit, rtol=1e-12)
     assert_allclose(found.cell_m, np.array([2.0, 3.0]) * unit, rtol=1e-9)
     assert_array_equal(found.height_m, [[11.5, 12.5, 13.5], [21.5, 22.5, 23.5]])

@@ -8,8 +8,11 @@ import laspy
 import numpy as np
 import pandas as pd
 import pytest
+from plyfile import PlyData, PlyElement
 
 from thalweg.cli import main
+from thalweg.core import LazWriter, LocalFrame
+from thalweg.core.geometry import TriangleMesh, write_mesh as write_own_mesh
 
 MAP_M = np.array([412_000.0, 5_651_000.0, 150.0])
 
@@ -56,6 +59,34 @@ def test_a_mesh_gives_signed_distances_in_map_coordinates(tmp_path, capsys):
     assert facts["all"]["rmse_m"] == pytest.approx(np.sqrt(np.mean(height**2)), abs=1e-6)
     assert "500 compared" in capsys.readouterr().out
     assert "<img" in (tmp_path / "d.html").read_text()
+
+
+def test_what_the_file_of_a_mesh_states(tmp_path, capsys, no_page):
+    """Feet, single precision, and the frame of a mesh of this program count as they do in a cloud."""
+    corners = MAP_M + 10.0 * np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
+    path, faces = tmp_path / "mesh.ply", [(0, 1, 2), (0, 2, 3)]
+    places = np.array([[2.0, 3, 0.1], [4, 5, 0.1], [7, 6, 0.1]])
+    cloud = points_text(tmp_path / "cloud.xyz", MAP_M + places)
+    command = ["compare", str(cloud), str(path), "-o", str(tmp_path / "d.csv"), "--force"]
+    text = write_mesh(path, corners, faces).read_text()
+    path.write_text(text.replace("ascii 1.0", "ascii 1.0\ncomment units: feet"))
+    assert main(command) == 2
+    assert "units: feet" in capsys.readouterr().err
+    vertex = np.rec.fromarrays(corners.T.astype("f4"), names="x,y,z")
+    face = np.array([(each,) for each in faces], dtype=[("vertex_indices", "i4", (3,))])
+    parts = [PlyElement.describe(vertex, "vertex"), PlyElement.describe(face, "face")]
+    PlyData(parts, byte_order="<").write(str(path))
+    assert main(command) == 0
+    printed = capsys.readouterr()
+    assert "mesh.ply: Coordinates up to 5651010 m resolve 500 mm only" in printed.out + printed.err
+    here, there = (LocalFrame(lat_deg=51.0, lon_deg=13.0, h_ell_m=h) for h in (150.0, 151.0))
+    mesh = TriangleMesh(vertices_m=corners - MAP_M, faces=np.array(faces), sigma_m=np.zeros(4))
+    write_own_mesh(path, mesh, here, {})
+    for frame, code in ((here, 0), (there, 2)):
+        with LazWriter(tmp_path / "own.laz", frame) as writer:
+            writer.append(places)
+        assert main(["compare", str(tmp_path / "own.laz"), *command[2:]]) == code
+    assert "states a local frame" in capsys.readouterr().err
 
 
 def wall(rng: np.random.Generator, away_m: float, n: int, noise_m: float) -> np.ndarray:

@@ -11,6 +11,7 @@ import rasterio
 from geopandas import GeoDataFrame
 from PIL import Image, TiffImagePlugin
 from pyproj import CRS
+from rasterio.enums import ColorInterp
 from shapely import Polygon
 
 from thalweg.cli import main
@@ -139,6 +140,75 @@ def test_files_that_are_no_heights_are_refused(tmp_path):
         read_dsm(a_tif(tmp_path / "c.tif", relief(), placed=False))
 
 
+def a_gis_tif(path: Path, bands: ArrayF, names: tuple[str, ...] = (), crs: int = 25833, **tags: str) -> Path:
+    """A GeoTIFF by GDAL, its last of several bands for opacity."""
+    bands = np.asarray(bands, np.float32).reshape(-1, 20, 30)
+    corner = {3857: (1_503_000.0, 6_621_000.0)}.get(crs, CORNER)
+    how = {"driver": "GTiff", "count": len(bands), "height": 20, "width": 30, "dtype": "float32"}
+    place = rasterio.Affine(1.0, 0.0, corner[0], 0.0, -1.0, corner[1])
+    with rasterio.open(path, "w", crs=CRS(crs).to_wkt(), transform=place, nodata=-9999.0, **how) as file:
+        file.write(bands)
+        for k, name in enumerate(names, 1):
+            file.set_band_description(k, name)
+        file.update_tags(1, **tags)
+    if len(bands) > 1:
+        with rasterio.open(path, "r+") as file:
+            file.colorinterp = [*[ColorInterp.gray] * (len(bands) - 1), ColorInterp.alpha]
+    return path
+
+
+@pytest.mark.parametrize(
+    ("names", "tags", "crs", "found"),
+    [
+        (("Tiefe",), {}, 25833, r"depths \(Tiefe\)"),
+        ((), {"NETCDF_VARNAME": "depth"}, 25833, r"depths \(depth\)"),
+        ((), {"positive": "Down"}, 25833, r"depths \(positive down\)"),
+        ((), {"standard_name": "sea_floor_depth_below_geoid"}, 25833, r"depths \(sea_floor_depth"),
+        (("stdev",), {}, 25833, "a band of 'stdev'"),
+        (("Slope (degree)",), {}, 25833, r"a band of 'Slope \(degree\)'"),
+        ((), {}, 3857, r"has 1\.5\d m for a metre of ground.*zone of UTM \(EPSG:32633\)"),
+        ((), {}, 31468, "expected coordinates in DHDN / 3-degree Gauss-Kruger zone 4"),
+    ],
+)
+def test_bands_and_maps_of_something_else_are_refused(tmp_path, names, tags, crs, found):
+    path = a_gis_tif(tmp_path / "a.tif", relief(), names, crs, **tags)
+    with pytest.raises((InputError, UnsupportedError), match=found):
+        read_dsm(path)
+    assert len(read_dsm(a_gis_tif(path, relief(), ("dem slope-corrected",))).points_m()) == 600
+
+
+def test_what_tags_and_names_of_bands_say_of_heights(tmp_path):
+    notes = read_dsm(a_gis_tif(tmp_path / "b.tif", relief(), ("bathymetry",))).notes
+    assert "b.tif: Positive values of 'bathymetry' are taken as heights, not as depths." in notes
+    dsm = read_dsm(a_gis_tif(tmp_path / "a.tif", relief() / 0.3048, VERTICAL_UNITS="Feet"))
+    assert dsm.height_m == pytest.approx(relief(), abs=1e-5)
+
+
+def test_an_opaque_band_of_any_type_is_a_mask(tmp_path):
+    """As gdalwarp -dstalpha makes of a raster of 32-bit numbers, which GDAL itself takes for no mask."""
+    bands = np.stack([relief(), np.where(np.arange(20)[:, None] < 4, 0.0, 255.0) * np.ones(30)])
+    bands[0, :4] = 35.0 + relief()[:4]
+    dsm = read_dsm(a_gis_tif(tmp_path / "a.tif", bands))
+    assert np.isnan(dsm.height_m[:4]).all()
+    assert np.isfinite(dsm.height_m[4:]).all()
+    assert "120 of 600 cells without a height (mask of the file)" in dsm.notes[0]
+
+
+def test_means_of_heights_and_of_the_value_for_none_are_refused(tmp_path):
+    """Resampled before the value was declared; a deep place that no cell without a height is beside stays."""
+    height = relief()
+    height[:, :4] = -9999.0
+    share = np.linspace(0.06, 0.94, 20)
+    height[:, 4] = share * -9999.0 + (1 - share) * relief()[:, 4]
+    with pytest.raises(
+        InputError, match=r"20 cells beside those.*and -9999: means of both.*-srcnodata -9999"
+    ):
+        read_dsm(a_gis_tif(tmp_path / "a.tif", height))
+    height[:, 4] = relief()[:, 4]
+    height[10, 20] = -800.0
+    assert np.nanmin(read_dsm(a_gis_tif(tmp_path / "b.tif", height)).height_m) == -800.0
+
+
 # ---------------------------------------------------------------- sigmas of volumes
 
 
@@ -256,6 +326,8 @@ def test_rasters_that_do_not_fit_are_refused(tmp_path):
     with pytest.raises(InputError, match=r"another grid.*--resample"):
         difference_of_surfaces(before, shifted)
     found = difference_of_surfaces(before, shifted, resample="bilinear")
+    beside = difference_of_surfaces(before, after(relief(), corner=(CORNER[0] + 10.0, CORNER[1])))
+    assert "400.0 m2 of the second raster lie beyond the first and are in no part." in beside.notes
     # the slope of 0.05 along east, a quarter of a cell away
     assert np.nanmedian(found.raster.height_m) == pytest.approx(-0.025, abs=1e-5)
     assert "up to 0.500 m away" in found.notes[-2]
@@ -269,8 +341,11 @@ def test_the_command_writes_bands_and_volumes(tmp_path, capsys):
     before, after = two(tmp_path)
     words = ["compare-clouds", str(before.path), str(after.path), "--sigma-a", "0.03", "--sigma-b", "0.04"]
     out = tmp_path / "changes.tif"
-    assert main([*words, "--correlation", "4", "-o", str(out)]) == 0
+    assert main([*words, "-o", str(out)]) == 0
+    assert "note: No --correlation-m is stated: errors of cells count as" in capsys.readouterr().out
+    assert main([*words, "--correlation", "4", "-o", str(out), "--force"]) == 0
     printed = capsys.readouterr().out
+    assert "errors of cells count" not in printed
     assert "600 cells, 510 with a difference" in printed
     assert "  erosion: 160.0 m2, -80.0 m3 (sigma " in printed
     assert "note: a.tif: 30 of 600 cells without a height (undeclared value -9999)." in printed

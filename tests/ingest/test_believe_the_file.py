@@ -545,3 +545,14 @@ def test_marks_that_are_no_pixels(tmp_path):
     )
     with pytest.raises(InputError, match="expected pixels"):
         read_marks(path)
+
+
+def test_clouds_without_names_whose_first_columns_count(tmp_path):
+    """FARO writes row and column of the scan first; whole coordinates of a grid are none of that."""
+    number, east, north = np.arange(N), EAST + 0.25, NORTH + 0.125
+    for *counts, words in ((number, "first counts"), (number % 7, number // 7, "first two count")):
+        path = rows(tmp_path / "a.xyz", "", *counts, east, north, DEPTH)
+        with pytest.raises(InputError, match=words):
+            read_points(path)
+    path = rows(tmp_path / "a.xyz", "", EAST.astype(int), NORTH.astype(int), DEPTH, DEPTH / 100, DEPTH / 50)
+    assert read_points(path).xyz_m[:, 2] == pytest.approx(DEPTH)

@@ -91,6 +91,19 @@ def test_ply_as_plyfile_reads_it(tmp_path, order, text, single):
     assert any("2 elements 'face'" in note for note in cloud.report.notes)
 
 
+@pytest.mark.parametrize("word", ["comment", "obj_info"])
+def test_ply_remarks_that_matter(tmp_path, word):
+    """MeshLab and scanners write obj_info where others write comment."""
+    head = f"ply\nformat ascii 1.0\n{word} {{}}\nelement vertex 1\n"
+    head += "property double x\nproperty double y\nproperty double z\nend_header\n1 2 3\n"
+    path = tmp_path / "a.ply"
+    path.write_text(head.format("offset 412000 5650000 0"))
+    assert any("'offset 412000 5650000 0': coordinates are taken" in n for n in read_cloud(path).report.notes)
+    path.write_text(head.format("units: feet"))
+    with pytest.raises(InputError, match="units: feet"):
+        read_cloud(path)
+
+
 def test_ply_float_colours(tmp_path):
     head = "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\n"
     head += "property float red\nproperty float green\nproperty float blue\nend_header\n"

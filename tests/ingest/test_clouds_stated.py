@@ -14,12 +14,17 @@ from pyproj import CRS, Transformer
 
 from thalweg.cli import main
 from thalweg.core import ArrayF, InputError, gps_from_unix, iter_laz, laz_header
+from thalweg.core.values import check_stated
 from thalweg.deformation.foreign.clouds import read_points
+from thalweg.deformation.foreign.surfaces import one_frame
 from thalweg.ingest.clouds import read_cloud
 
 N = 200
 PLACE = np.array([412_000.0, 5_650_000.0, 150.0])
 US_FOOT_M = 1200 / 3937
+DATUM = 'AUTHORITY["EPSG","7019"]]'
+TOWGS84 = CRS("EPSG:2225+6360").to_wkt("WKT1_GDAL").replace(DATUM, f"{DATUM},TOWGS84[0,0,0,0,0,0,0]")
+"""Feet of a map, and a way to WGS 84 that old programs tie to it."""
 
 
 def points() -> ArrayF:
@@ -69,6 +74,7 @@ def a_las(
         # the WKT has the map alone, the keys the heights
         ((1, 1, US_FOOT_M), {"crs": "EPSG:25833", "keys": (4096, 5703, 4099, 9003)}, "US survey feet"),
         ((US_FOOT_M, US_FOOT_M, US_FOOT_M), {"crs": "EPSG:2225+6360"}, "East and north are stated in US"),
+        ((US_FOOT_M, US_FOOT_M, US_FOOT_M), {"crs": TOWGS84}, "East and north are stated in US"),
         ((1, 1, 1), {"crs": "EPSG:25833"}, "The file states no unit of heights: metres."),
         ((1, 1, 1), {"crs": "EPSG:25833+7837"}, ""),
     ],
@@ -112,7 +118,42 @@ def test_degrees_become_utm(tmp_path):
         read_points(bare)
 
 
+@pytest.mark.parametrize(("code", "epsg"), [(4258, 25833), (9755, None)])
+def test_degrees_of_any_datum_come_onto_a_map_that_compares(tmp_path, code, epsg):
+    """Latitude before longitude lies elsewhere, which is told; not every datum has codes of UTM."""
+    degrees = Transformer.from_crs(25833, 4258, always_xy=True).transform(*points()[:, :2].T)
+    xyz = np.column_stack([*degrees, points()[:, 2]])
+    path = a_las(tmp_path / "a.laz", xyz, crs=f"EPSG:{code}", scale=1e-7)
+    cloud = read_points(path)
+    assert one_frame([cloud, cloud])[0].to_epsg() == epsg
+    assert not any("contradict" in text for text in cloud.notes)
+    swapped = read_cloud(a_las(tmp_path / "b.laz", xyz[:, [1, 0, 2]], crs=f"EPSG:{code}", scale=1e-7))
+    told = any("latitude and longitude swapped would fit" in text for text in swapped.report.notes)
+    assert told == (code == 4258)  # the other is used all over the world
+
+
+def test_maps_that_contradict(tmp_path):
+    """The keys of another zone beside the WKT; places outside of a map that WKT 1 names by its code alone."""
+    keys = (1024, 1, 3072, 25832)
+    cloud = read_cloud(a_las(tmp_path / "a.laz", points(), crs="EPSG:25833", keys=keys))
+    assert cloud.crs.to_epsg() == 25833
+    said = "The WKT states ETRS89 / UTM zone 33N, the GeoKeys ETRS89 / UTM zone 32N: the WKT counts."
+    assert said in cloud.report.notes
+    same = read_cloud(a_las(tmp_path / "b.laz", points(), crs="EPSG:25833", keys=(1024, 1, 3072, 25833)))
+    assert not any("GeoKeys" in text for text in same.report.notes)
+    other = CRS.from_wkt(CRS(31468).to_wkt("WKT1_GDAL"))
+    assert other.area_of_use is None
+    with pytest.raises(InputError, match=r"east 41\d,\d+.*Gauss-Kruger zone 4, used from 47.39"):
+        check_stated(points(), other, where="a.laz")
+
+
 # ---------------------------------------------------------------- points that are none
+
+
+def test_points_on_water_are_told(tmp_path):
+    classes = np.where(np.arange(N) < 30, 9, 2).astype(np.uint8)
+    notes = read_cloud(a_las(tmp_path / "a.laz", points(), classification=classes)).report.notes
+    assert "30 points of class 9 (water) are kept: leave them out where ground counts." in notes
 
 
 def test_marked_points_are_left_out_and_counted(tmp_path):

@@ -38,6 +38,15 @@ def test_points_and_fields(tmp_path):
     assert cloud.report.losses == {"points_not_finite": 1}
 
 
+def test_remarks_that_matter(tmp_path):
+    cloud = read_cloud(
+        written(tmp_path, HEAD.replace("VERSION", "# offset 412000 5650000 0\nVERSION") + BODY)
+    )
+    assert any("'offset 412000 5650000 0'" in note for note in cloud.report.notes)
+    with pytest.raises(InputError, match="units: feet"):
+        read_cloud(written(tmp_path, HEAD.replace("VERSION", "# units: feet\nVERSION") + BODY))
+
+
 def test_the_binary_form_with_padding_is_read_alike(tmp_path):
     """As PCL pads: a field without a meaning between, of several values, twice."""
     fields = [("xyz", "<f4", 3), ("a", "u1", 4), ("intensity", "<f4"), ("ring", "<u2"), ("b", "u1", 2)]

@@ -256,6 +256,11 @@ def _compare_surfaces(options: argparse.Namespace) -> int:
         resample=options.resample,
         leave_out=[read_vectors(each) for each in options.leave_out],
     )
+    if (options.sigma_a or options.sigma_b) and not options.correlation:
+        found.notes.append(
+            "No --correlation-m is stated: errors of cells count as independent, so that sigmas of volumes "
+            "are the least that there can be."
+        )
     write_difference(options.out, found)
     height = found.raster.height_m[np.isfinite(found.raster.height_m)]
     print(f"{found.raster.height_m.size:,} cells, {len(height):,} with a difference")

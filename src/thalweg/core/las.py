@@ -34,7 +34,7 @@ from thalweg.core.errors import GeometryError, InputError, ThalwegError, require
 from thalweg.core.frames import LocalFrame
 from thalweg.core.timescales import unix_from_gps
 from thalweg.core.types import AnyArray, ArrayB, ArrayF
-from thalweg.core.values import Stated, crs_of_geokeys, in_metres
+from thalweg.core.values import Stated, crs_of_geokeys, horizontal_of, in_metres
 
 log = logging.getLogger("thalweg")
 __all__ = ["LazHeader", "LazWriter", "iter_laz", "laz_header", "read_laz"]
@@ -73,7 +73,7 @@ _LAYERED: Final = 3
 _COMPRESSORS: Final = (1, 2, 3)
 _LAYERS: Final = {10: 9, 11: 1, 12: 2, 13: 1}
 _BYTES_LAYERED: Final = 14
-_WKT, _GEO_KEYS, _GEO_DOUBLES, _GEO_TEXT = 2112, 34735, 34736, 34737
+_WKT, _GEO_KEYS, _GEO_DOUBLES, _GEO_TEXT, _PROJECTED = 2112, 34735, 34736, 34737, 3072
 _FARTHEST_M: Final = 1e9
 _NOISE: Final = {7: "points_of_class_7_noise", 18: "points_of_class_18_noise"}
 """Classes of the ASPRS for low and high points that are none of a surface."""
@@ -617,6 +617,12 @@ def _stated(header: Any, where: Path) -> Stated:
         raise
     except Exception as error:  # GDAL and pyproj raise whatever the damaged record leads them to
         found, problem = in_metres(None), f"The CRS record cannot be read ({error}); "
+    code = dict(zip(directory[4::4], directory[7::4], strict=False)).get(_PROJECTED, 0)
+    with contextlib.suppress(CRSError):  # a code that PROJ does not know says nothing
+        beside = CRS.from_epsg(code)
+        if crs and not horizontal_of(beside).equals(horizontal_of(crs), ignore_axis_order=True):
+            said = f"The WKT states {crs.name}, the GeoKeys {beside.name}: the WKT counts."
+            found = replace(found, notes=(said, *found.notes))
     then = "the cloud counts as without CRS" if found.crs is None else "GeoKeys count"
     return replace(found, notes=(f"{problem}{then}.", *found.notes)) if problem else found
 

@@ -18,7 +18,7 @@ from PIL import TiffImagePlugin
 from pyproj import CRS
 from pyproj.crs import CompoundCRS
 from pyproj.exceptions import CRSError
-from scipy.ndimage import map_coordinates
+from scipy.ndimage import binary_dilation, map_coordinates
 
 from thalweg.core.errors import GeometryError, InputError, UnsupportedError, require_file
 from thalweg.core.geometry import TriangleMesh
@@ -43,11 +43,23 @@ MOST_CELLS: Final = 400_000_000
 """Of a raster: 3 GB of numbers, several times while it is worked on."""
 _PROJECTED, _GEO_KEYS = 3072, 34735
 _LEAST_ZEROS: Final = 10
+_SAMPLE: Final = 1000
+"""Rows by which the usual heights of a raster are told."""
+_MIXED, _FAR = 0.05, 500.0
+"""Share of a value for no height that tells a mixture from a height, and how far it is from them at least."""
 _NAMED_BANDS: Final = (("height_m", "sigma_m", "sigma_common_m"), ("height", "sigma", "sigma_common"))
 """Of ``bed.tif`` and of ``dtm.tif``: height, standard deviation, its part that all heights share."""
 _HEIGHT: Final = re.compile(
     r"\b(heights?|elevations?|altitudes?|z|dem|dsm|dtm|dgm|bathymetry)\b", re.IGNORECASE
 )
+_OTHER: Final = re.compile(
+    r"(?i)\b(slope|aspect|hillshade|shade|std ?dev|stdev|std|sigma|uncertainty|error|count|density|intensity|"
+    r"roughness|difference)\b"
+)
+"""What GIS make of heights, by the names of bands."""
+_DEPTH: Final = re.compile(r"(?i)(?<!bit )(?:^|_|\b)(?:depth|(?:wasser)?tiefe|profond|profundi|diepte)")
+_TAGS_OF_NAMES: Final = ("long_name", "standard_name", "netcdf_varname", "tifftag_imagedescription")
+_UNIT_TAG: Final = re.compile(r"(?:(?:vertical|vert|z|elevation|height|dem)_?)?units?")
 _IN_BRACKETS: Final = re.compile(r"[\[(]([^\])]+)[\])]\s*$")
 
 
@@ -238,12 +250,16 @@ class Dsm:
         """Area of a cell on the map."""
         return float(self.cell_m[0] * self.cell_m[1])
 
-    def centres_m(self) -> ArrayF:
-        """Centres (rows * columns, 2) of all cells, row by row."""
+    def axes_m(self) -> tuple[ArrayF, ArrayF]:
+        """East (columns,) and north (rows,) of the centres of cells."""
         rows, columns = self.height_m.shape
         east = self.corner_m[0] + (np.arange(columns) + 0.5) * self.cell_m[0]
-        north = self.corner_m[1] - (np.arange(rows) + 0.5) * self.cell_m[1]
-        return np.column_stack([np.tile(east, rows), np.repeat(north, columns)])
+        return east, self.corner_m[1] - (np.arange(rows) + 0.5) * self.cell_m[1]
+
+    def centres_m(self) -> ArrayF:
+        """Centres (rows * columns, 2) of all cells, row by row."""
+        east, north = self.axes_m()
+        return np.column_stack([np.tile(east, len(north)), np.repeat(north, len(east))])
 
     def points_m(self) -> ArrayF:
         """Centres (n, 3) of the cells that have a height, row by row."""
@@ -315,9 +331,10 @@ def _heights(file: Any, path: Path, nodata: float | None) -> Dsm:
     keys = _geo_keys(path)
     crs = CRS.from_wkt(file.crs.to_wkt()) if file.crs else None
     tags = {key.lower(): value for key, value in (file.tags() | file.tags(number)).items()}
-    up = _unit_of_band(file.units[number - 1] or tags.get("units"), names[number - 1], path)
-    words = [names[number - 1], *(tags.get(key, "") for key in ("long_name", "tifftag_imagedescription"))]
-    if "down" in tags.get("positive", "") or any(re.search(r"(?i)(?:^|_|\b)depth", w) for w in words):
+    tagged = next((tags[key] for key in sorted(tags) if _UNIT_TAG.fullmatch(key)), None)
+    up = _unit_of_band(file.units[number - 1] or tagged, names[number - 1], path)
+    words = [names[number - 1], *(tags.get(key, "") for key in _TAGS_OF_NAMES)]
+    if "down" in tags.get("positive", "").lower() or any(_DEPTH.search(w) for w in words):
         raise UnsupportedError(
             f"depths ({'; '.join(filter(None, words)) or 'positive down'})",
             expected="heights, positive upwards", where=path,
@@ -373,6 +390,8 @@ def _heights(file: Any, path: Path, nodata: float | None) -> Dsm:
     said = list(stated.notes)
     if (scale, offset) != (1.0, 0.0):
         said.append(f"Heights are the numbers of the file times {scale:g} plus {offset:g}, as it states.")
+    if ours is None and "bathy" in names[number - 1].lower() and np.nanmedian(values) > 0.0:
+        said.append(f"Positive values of {names[number - 1]!r} are taken as heights, not as depths.")
     if file.count > 1 and ours is None:
         said.append(
             f"Band {number} ({names[number - 1] or 'without a name'}) of {file.count} holds the heights."
@@ -426,8 +445,16 @@ def _placement(file: Any, path: Path) -> tuple[ArrayF, ArrayF, tuple[bool, bool]
 def _height_band(file: Any, names: list[str], path: Path) -> int:
     """Number of the band of heights: the only one, or the only one that is called so."""
     bands = [k for k, colour in enumerate(file.colorinterp, 1) if colour.name != "alpha"]
+    spoken = {k: re.sub(r"[_\W]+", " ", names[k - 1]) for k in bands}
+    called = [k for k in bands if _HEIGHT.search(spoken[k])]
+    if len(bands) == 1 and not called and _OTHER.search(spoken[bands[0]]):
+        raise UnsupportedError(
+            f"a band of {names[bands[0] - 1]!r}",
+            expected="one band of heights",
+            where=path,
+            cure="Export heights, or call the band height",
+        )
     if len(bands) > 1:
-        called = [k for k in bands if _HEIGHT.search(re.sub(r"[_\W]+", " ", names[k - 1]))]
         if len(called) != 1:
             words = ", ".join(repr(name) for name in names if name) or "without names"
             raise UnsupportedError(
@@ -478,7 +505,11 @@ def _geo_keys(path: Path) -> list[int]:
 def _outside_of_mask(file: Any, number: int) -> ArrayB | None:
     """Cells (rows, columns) that a mask of the file, or an opaque band, leaves out; None without one."""
     flags = {flag.name for flag in file.mask_flag_enums[number - 1]}
-    return file.read_masks(number) == 0 if flags & {"per_dataset", "alpha"} else None
+    if flags & {"per_dataset", "alpha"}:
+        return file.read_masks(number) == 0
+    # GDAL takes no band of floating-point numbers, nor one of three, for a mask
+    opaque = next((k for k, colour in enumerate(file.colorinterp, 1) if colour.name == "alpha"), None)
+    return None if opaque is None else file.read(opaque) == 0
 
 
 def _with_heights(crs: CRS | None, heights: str, path: Path) -> CRS | None:
@@ -538,8 +569,10 @@ def mask_missing(
     if not np.isfinite(values).all():
         masked["NaN"] = int((~np.isfinite(values)).sum())
         values[~np.isfinite(values)] = np.nan
+    gone: list[float] = []
     for value, words in ((declared, "declared value {:g}"), (nodata, "value {:g}, as stated")):
         if value is not None and np.isfinite(value):
+            gone.append(value)
             mask(np.isclose(values, value, rtol=1e-6, atol=0.0), words.format(value))
     if also is not None:
         mask(also.copy(), "mask of the file")
@@ -551,6 +584,7 @@ def mask_missing(
     undeclared = is_nothing(values, "height" if plain else "other", extra=extremes) & np.isfinite(values)
     mask(undeclared & (np.abs(values) >= HUGE), f"undeclared value beyond {HUGE:g}")
     for value in np.unique(values[undeclared & np.isfinite(values)]):
+        gone.append(value)
         mask(values == value, f"undeclared value {value:g}")
     for value in far_repeated(values):
         if value != 0.0 or not zeros or (values == 0.0).sum() < _LEAST_ZEROS:
@@ -558,6 +592,7 @@ def mask_missing(
     one = what.removesuffix("s")
     if not np.isfinite(values).any():
         raise InputError(f"no {one} has a height", expected="heights in metres", where=path)
+    _refuse_mixed(values, gone, path)
     if nodata is None and zeros and (n := int((values == 0.0).sum())) >= _LEAST_ZEROS:
         raise InputError(
             f"{n:,} of {values.size:,} {what} are exactly 0 m, and no value for missing heights is declared",
@@ -578,3 +613,35 @@ def mask_missing(
         )
     count = f"of {values.size:,} {what} without a height"
     return values, tuple(f"{path.name}: {n:,} {count} ({words})." for words, n in masked.items())
+
+
+def _refuse_mixed(heights: ArrayF, gone: list[float], path: Path) -> None:
+    """Refuse means of heights and a value that stands for none, which resampling leaves along borders.
+
+    Parameters
+    ----------
+    heights : (rows, columns), NaN where there is none.
+    gone : values that stood for none.
+
+    Raises
+    ------
+    InputError : cells beside those without a height lie far from all others, on the way to such a value.
+    """
+    if heights.ndim != 2 or not np.isfinite(heights).any():
+        return
+    low, middle, high = np.nanpercentile(heights[:: -(-heights.shape[0] // _SAMPLE)], (25.0, 50.0, 75.0))
+    for value in gone:
+        if not abs(value - middle) > _FAR:
+            continue
+        share = (heights - middle) / (value - middle)
+        mixed = (share > _MIXED) & (share < 1.0) & (np.abs(heights - middle) > 20.0 * max(high - low, 1.0))
+        if mixed.any():
+            mixed &= binary_dilation(np.isnan(heights), np.ones((3, 3), bool))
+        if n := int(mixed.sum()):
+            raise InputError(
+                f"{n:,} cells beside those without a height are {heights[mixed].min():g} to "
+                f"{heights[mixed].max():g} m, between the others and {value:g}: means of both",
+                expected="heights that were not mixed with the value for none",
+                where=path,
+                cure=f"Resample it again from its source, this value declared: gdalwarp -srcnodata {value:g}",
+            )

@@ -10,6 +10,7 @@ from .mesh import (
     ORDERS as ORDERS,
     PlyElement as PlyElement,
     TriangleMesh as TriangleMesh,
+    frame_of_comments as frame_of_comments,
     read_mesh as read_mesh,
     read_ply_header as read_ply_header,
     write_mesh as write_mesh,

@@ -329,6 +329,17 @@ def _read(path: Path) -> tuple[AnyArray, ArrayI, dict[str, Any]]:
     return *_triangles(path, header.end, vertex, face), told
 
 
+def frame_of_comments(comments: list[str], path: Path) -> LocalFrame | None:
+    """The world frame that a mesh of `write_mesh` states; None for one of another program.
+
+    Raises
+    ------
+    InputError : the statement is damaged, or of another version.
+    """
+    told = _facts_of_comments(comments, path)
+    return None if told is None else LocalFrame(**told["origin"])
+
+
 def _facts_of_comments(comments: list[str], path: Path) -> dict[str, Any] | None:
     text = "".join(line.removeprefix("thalweg ") for line in comments if line.startswith("thalweg "))
     if not text:
@@ -378,7 +389,7 @@ def _cut(path: Path, there: str) -> InputError:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlyHeader:
-    """``form`` is a key of `ORDERS`; ``end`` is the byte at which the data begin."""
+    """``form`` is a key of `ORDERS`, ``comments`` also those of obj_info, ``end`` where the data begin."""
 
     form: str
     elements: list[PlyElement]
@@ -418,10 +429,10 @@ def _parsed(text: str, path: Path, cure: str) -> tuple[str, list[PlyElement], li
         known = True
         try:
             match line.split():
-                case ["ply"] | [] | ["obj_info", *_]:
+                case ["ply"] | []:
                     pass
-                case ["comment", *_]:
-                    comments.append(line[8:])
+                case ["comment" | "obj_info" as word, *_]:
+                    comments.append(line[len(word) + 1 :])
                 case ["format", kind, "1.0"] if kind in ORDERS:
                     form = kind
                 case ["element", name, count]:

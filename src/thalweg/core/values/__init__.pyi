@@ -25,6 +25,7 @@ from .stated import (
     Stated as Stated,
     crs_of_geokeys as crs_of_geokeys,
     heights_in_words as heights_in_words,
+    horizontal_of as horizontal_of,
     in_metres as in_metres,
     matters as matters,
     onto_map as onto_map,

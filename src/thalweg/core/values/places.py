@@ -12,11 +12,12 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from pyproj import CRS, Transformer
-from pyproj.aoi import AreaOfInterest
+from pyproj import CRS, Geod, Transformer
+from pyproj.aoi import AreaOfInterest, AreaOfUse
 from pyproj.database import query_utm_crs_info
 
 from thalweg.core import ArrayB, ArrayF, GeometryError, InputError, LocalFrame
+from thalweg.core.values.stated import horizontal_of
 
 FAR_M: Final = 10_000.0
 """Distance from the origin of a survey beyond which coordinates are others."""
@@ -37,6 +38,8 @@ _UNITS: Final = (("kilometres", 1e3), ("feet", 0.3048), ("centimetres", 1e-2), (
 _UTM: Final = ((32601, 32660), (32701, 32760), (25828, 25838))
 """EPSG codes of zones of UTM that lie beside each other."""
 _MOST_APART_M: Final = 200_000.0
+_MOST_STRETCHED: Final = 0.1
+"""Logarithm of the scale of a map: Web Mercator has 0.46 at 51 degrees, polar maps have less than 0.06."""
 _EARTH_M: Final = (6.33e6, 6.40e6)
 _OLD_GRIDS: Final = (31466, 31467, 31468, 31469)
 """EPSG codes of grids of another datum, that of Germany until 1990 and after."""
@@ -147,12 +150,22 @@ def check_stated(points: ArrayF, crs: CRS, *, where: str | Path) -> None:
 
     Raises
     ------
-    InputError : degrees, or see `check_places`.
+    InputError : degrees, a map that stretches lengths, or see `check_places`.
     """
     xy = points[:: max(len(points) // _SAMPLE, 1), :2]
     check_degrees(xy, where=where, cure="Correct the coordinate system, or transform the coordinates")
     if np.abs(np.median(xy, axis=0)).max() > _NEAR_ZERO_M:
         check_places(xy, crs, where=where, one_survey=False)
+        about = np.median(xy, axis=0) + np.array([[-500.0, 0.0], [500.0, 0.0]])
+        lon, lat = _degrees(about, crs)
+        wide = 1000.0 / Geod(ellps="GRS80").inv(lon[0], lat[0], lon[1], lat[1])[2]
+        if abs(np.log(wide)) > _MOST_STRETCHED:
+            raise InputError(
+                f"a map of {crs.name}, which has {wide:.2f} m for a metre of ground there",
+                where=where,
+                expected="a map whose lengths and areas are those of the ground",
+                cure=f"Transform it to a zone of UTM (EPSG:{utm_of(lon, lat).to_epsg()})",
+            )
 
 
 def check_heights(height_m: ArrayF, *, where: str | Path) -> None:
@@ -222,7 +235,7 @@ def _degrees(xy: ArrayF, crs: CRS) -> tuple[ArrayF, ArrayF]:
 
 def _in_area(crs: CRS) -> Fits:
     """Whether most places lie where a CRS is used; of one without a stated area, on the earth."""
-    area = crs.area_of_use
+    area = _area_of(crs)
     east_of, north_of = _MARGIN_DEG[bool(crs.utm_zone)]
 
     def fits(lon: ArrayF, lat: ArrayF) -> bool:
@@ -238,8 +251,15 @@ def _in_area(crs: CRS) -> Fits:
     return fits
 
 
+def _area_of(crs: CRS) -> AreaOfUse | None:
+    """Where a CRS is used; WKT 1, which GIS and LAS write, names its code and not its area."""
+    flat = horizontal_of(crs)
+    code = None if flat.area_of_use else flat.to_epsg()
+    return flat.area_of_use if code is None else CRS.from_epsg(code).area_of_use
+
+
 def _area_in_words(crs: CRS) -> str:
-    area = crs.area_of_use
+    area = _area_of(crs)
     if area is None:
         return "anywhere"
     return f"from {in_words(area.west, area.south)} to {in_words(area.east, area.north)}"

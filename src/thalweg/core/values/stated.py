@@ -139,7 +139,8 @@ def _metric(part: Any) -> Any:
             out["name"] = f"{part['name']} in metres"
     if "components" in out:
         out.pop("id", None)
-        out["name"] = " + ".join(component["name"] for component in out["components"])
+        names = (each.get("source_crs", each)["name"] for each in out["components"])  # TOWGS84 has none
+        out["name"] = " + ".join(names)
     return out
 
 
@@ -256,8 +257,8 @@ def onto_map(xyz: ArrayF, crs: CRS) -> tuple[ArrayF, CRS, str]:
         name=f"{flat.name} / UTM zone {zone}{'N' if lat >= 0 else 'S'}",
         geodetic_crs=flat,
     )
-    if code := plane.to_epsg():
-        plane = CRS.from_epsg(code)
+    code = plane.to_epsg()
+    plane = CRS.from_wkt(plane.to_wkt()) if code is None else CRS.from_epsg(code)
     east, north = Transformer.from_crs(flat, plane, always_xy=True).transform(xyz[:, 0], xyz[:, 1])
     note = f"Coordinates in {crs.name} are transformed to {plane.name}."
     if crs.is_compound:
@@ -268,12 +269,27 @@ def onto_map(xyz: ArrayF, crs: CRS) -> tuple[ArrayF, CRS, str]:
     return np.column_stack([east, north, xyz[:, 2]]), plane, note
 
 
+def horizontal_of(crs: CRS) -> CRS:
+    """The horizontal part of a CRS, without the way to WGS 84 that WKT 1 may tie to it (TOWGS84).
+
+    Examples
+    --------
+    >>> horizontal_of(CRS("EPSG:25833+7837")).name
+    'ETRS89 / UTM zone 33N'
+    """
+    return _bare(crs.sub_crs_list[0] if crs.is_compound else crs).to_2d()
+
+
+def _bare(crs: CRS) -> CRS:
+    return crs.source_crs if crs.is_bound and crs.source_crs else crs
+
+
 def vertical_of(frame: object) -> CRS | str | None:
     """The vertical part of a CRS; ``ellipsoidal`` of one with three axes; None of others, and of no CRS."""
     if not isinstance(frame, CRS):
         return None
     if frame.is_compound:
-        return frame.sub_crs_list[1]
+        return _bare(frame.sub_crs_list[1])
     return "ellipsoidal" if len(frame.axis_info) == 3 and not frame.is_engineering else None
 
 

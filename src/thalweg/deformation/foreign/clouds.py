@@ -33,8 +33,8 @@ from thalweg.core.geometry import TriangleMesh
 from thalweg.core.values import METRE, check_degrees, check_heights, check_stated, units_of_crs
 from thalweg.deformation import CHANGES, Comparison, cloud_to_cloud, judge_changes, measure_distances
 from thalweg.deformation.foreign.surfaces import one_frame
-from thalweg.ingest import read_text_table
-from thalweg.ingest.clouds import NO_USE, read_cloud
+from thalweg.ingest import Table, read_text_table
+from thalweg.ingest.clouds import NO_USE, corners_of_mesh, read_cloud
 from thalweg.settings.sections import DSM_ENDINGS, TEXT_ENDINGS, Accuracy, ReferenceSettings
 from thalweg.surface import (
     Surface,
@@ -65,6 +65,10 @@ DISTANCES: Final = table_kind(
         column("outlier", pa.bool_(), "1", "used, and outside the outlier rule"),
     ],
 )
+_MOST_COUNTED: Final = 100_000.0
+"""Rows and columns of a scan are fewer, eastings of maps are more."""
+_ROWS: Final = 1000
+"""By so many rows is judged whether columns count."""
 _MUCH_DENSER = 20.0
 _RADIUS: Final = 3.0
 """Radius of a cylinder in spacings."""
@@ -117,6 +121,7 @@ def read_points(path: Path) -> Points:
         return Points(cloud.points, cloud.frame, path, tuple(told))
     table = read_text_table(path, bare=("x", "y", "z"))
     if not table.named and len(table.columns) > 3:  # colours and intensities stand behind the coordinates
+        _refuse_counts(table, path)
         table = read_text_table(path, order=("x", "y", "z"))
         table.notes.append("The file names no columns: taken as x, y, z and others")
     places, up = table.places(None, any_system=True), table.find("height")
@@ -141,6 +146,28 @@ def read_points(path: Path) -> Points:
         check_degrees(xyz[known, :2], where=path, cure="Name the columns lon, lat, z, or transform them")
     notes = (*table.notes, *places.notes, *table.loss_notes())
     return Points(np.ascontiguousarray(xyz[known]), places.crs, path, notes)
+
+
+def _refuse_counts(table: Table, path: Path) -> None:
+    """Refuse columns without names of which the first count points, or rows and columns of a scan (FARO).
+
+    Raises
+    ------
+    InputError : whole numbers stand before three columns that are none.
+    """
+    cells = [table.cells[k][:_ROWS] for k in range(min(len(table.columns), 5))]
+    first = [pd.to_numeric(each, errors="coerce") for each in cells]
+    whole = [bool((values % 1 == 0).all()) for values in first]
+    n = whole.index(False) if False in whole else 0
+    counts = n == 2 and max(values.max() for values in first[:2]) < _MOST_COUNTED
+    counts |= n == 1 and bool((np.diff(first[0]) > 0).all())
+    if counts and len(first) >= n + 3 and not any(whole[n : n + 3]):
+        raise InputError(
+            f"{len(first)} columns without names, of which the first {'two count' if n > 1 else 'counts'}",
+            expected="x, y, z in the first three columns, or names",
+            where=path,
+            cure=f"Name all columns in a first line, such as {'row, column' if n > 1 else 'number'}, x, y, z",
+        )
 
 
 def point_spacing_m(path: Path, most: int = 2000) -> float | None:
@@ -399,13 +426,15 @@ def compare_with_surface(
     if dsm is not None:
         raster = dsm.mesh()
         triangles = raster.vertices_m, raster.faces
-    if triangles is None:
-        vertices = read_points(reference)
+        vertices = Points(dsm.points_m(), dsm.frame, reference, dsm.notes)
+    elif triangles is not None:
+        told = corners_of_mesh(reference, triangles[0])
+        about = tuple(f"{reference.name}: {text}" for text in told.report.notes)
+        vertices = Points(told.points, told.frame, reference, about)
     else:
-        known = triangles[0] if dsm is None else dsm.points_m()
-        vertices = Points(known, None if dsm is None else dsm.frame, reference)
+        vertices = read_points(reference)
     frame, notes = one_frame([points, vertices])
-    notes = [*points.notes, *(vertices.notes if dsm is None else dsm.notes), *notes]
+    notes = [*points.notes, *vertices.notes, *notes]
     origin = np.round(np.median(vertices.xyz_m, axis=0))  # large coordinates would cost digits
     facts: dict[str, Any] = {}
     lengths: dict[str, float] = {}

@@ -28,7 +28,7 @@ from thalweg.core import (
     read_dsm,
     read_json,
 )
-from thalweg.core.values import Vectors, heights_in_words, read_vectors, same_heights
+from thalweg.core.values import Vectors, heights_in_words, horizontal_of, read_vectors, same_heights
 from thalweg.deformation import (
     COMMON,
     ColumnIndex,
@@ -397,7 +397,7 @@ def place_of_file(
         anywhere = LocalFrame(lat_deg=0.0, lon_deg=0.0, h_ell_m=0.0)
         lat, lon, h = anywhere.to_geodetic(anywhere.from_map(np.median(points, axis=0)[None], file)[0])
         origin = (round(float(lat), 4), round(float(lon), 4), round(float(h)))
-    horizontal = None if file is None else _on_map(file)
+    horizontal = None if file is None else horizontal_of(file)
     code = None if horizontal is None else horizontal.to_epsg()
     return (utm_code(*origin[:2]) if code is None else f"EPSG:{code}"), origin
 
@@ -427,7 +427,7 @@ def _grid_of(file: Frame, stated: Statement, crs: str, path: Path) -> tuple[Fram
         return file, "ellipsoidal", []
     said = None if stated.crs is None else CRS.from_user_input(stated.crs)
     if file is not None and said is not None:
-        a, b = _on_map(file), _on_map(said)
+        a, b = horizontal_of(file), horizontal_of(said)
         found = (
             f"{a.name}, the campaign file {b.name}"
             if not a.equals(b, ignore_axis_order=True)
@@ -448,11 +448,6 @@ def _grid_of(file: Frame, stated: Statement, crs: str, path: Path) -> tuple[Fram
     if not heights and stated.crs is None:
         notes.append(f"{path.name} states no system of heights: taken as ellipsoidal.")
     return grid, heights or "ellipsoidal", notes
-
-
-def _on_map(crs: CRS) -> CRS:
-    """Horizontal part of a coordinate system."""
-    return (crs.sub_crs_list[0] if crs.is_compound else crs).to_2d()
 
 
 def _heights(

@@ -40,7 +40,7 @@ from thalweg.core import (
     table_kind,
     write_table,
 )
-from thalweg.core.values import Vectors, heights_in_words, same_heights, vertical_of
+from thalweg.core.values import Vectors, heights_in_words, horizontal_of, same_heights, vertical_of
 from thalweg.deformation import torus_spectrum
 from thalweg.settings.sections import DSM_ENDINGS
 
@@ -238,7 +238,7 @@ def _same(a: Frame, b: Frame) -> bool:
     """Whether two frames are one on the map."""
     if isinstance(a, LocalFrame) or isinstance(b, LocalFrame):
         return a == b
-    one, two = (each and (each.sub_crs_list[0] if each.is_compound else each).to_2d() for each in (a, b))
+    one, two = (each and horizontal_of(each) for each in (a, b))
     return bool(one.equals(two, ignore_axis_order=True)) if one is not None else two is None
 
 
@@ -341,6 +341,14 @@ def difference_of_surfaces(
         notes.append(
             f"Centres of cells of the second raster lie up to {apart:.3f} m away from those of the first"
             + (f"; resampled: {resample}." if resample else " and count as the same.")
+        )
+    (east, north), size = after.axes_m(), before.cell_m * before.height_m.shape[::-1]
+    across = (east > before.corner_m[0]) & (east < before.corner_m[0] + size[0])
+    along = (north < before.corner_m[1]) & (north > before.corner_m[1] - size[1])
+    if beyond := int(np.isfinite(after.height_m).sum() - np.isfinite(after.height_m[along][:, across]).sum()):
+        notes.append(
+            f"{beyond * after.cell_area_m2:,.1f} m2 of the second raster lie beyond the first and are in no "
+            "part."
         )
     out = np.zeros(before.height_m.shape, bool)
     for each in leave_out:

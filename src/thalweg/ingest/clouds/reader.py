@@ -48,7 +48,7 @@ from thalweg.core import (
     require_file,
     whole_chunks,
 )
-from thalweg.core.geometry import ORDERS, PlyElement, read_ply_header
+from thalweg.core.geometry import ORDERS, PlyElement, frame_of_comments, read_ply_header
 from thalweg.core.values import (
     check_places,
     far_repeated,
@@ -56,6 +56,7 @@ from thalweg.core.values import (
     is_nothing,
     matters,
     onto_map,
+    refuse_depths,
     unit_in_words,
 )
 from thalweg.ingest import (
@@ -146,7 +147,9 @@ NO_USE: Final = (WEEK_TIMES, NO_TIMES)
 _CHUNK_POINTS: Final = 500_000
 _DEGREE_M: Final = 111_195.0
 """Length of a degree on a sphere as large as the earth."""
-_NAMES: Final[tuple[str, ...]] = ("xyz_m", "intensity", "rgb", "t_gps_s", "t_week_s")
+_NAMES: Final[tuple[str, ...]] = ("xyz_m", "intensity", "rgb", "t_gps_s", "t_week_s", "classification")
+_WATER: Final = {9: "water", 41: "water surface", 42: "derived water surface", 45: "no bottom found"}
+"""Classes of the ASPRS, those above 9 of its bathymetric profile."""
 
 
 def read_las(path: Path, report: IntegrityReport) -> Cloud:
@@ -185,7 +188,13 @@ def read_las(path: Path, report: IntegrityReport) -> Cloud:
     if (there := n + marked.total()) < header.n_points:
         report.lose("points_missing", header.n_points - there)
         report.note(f"{there:,} of {header.n_points:,} points could be read.")
-    return _raw({name: np.concatenate([p[name] for p in parts]) for name in parts[0]}, header, report)
+    columns = {name: np.concatenate([p[name] for p in parts]) for name in parts[0]}
+    for number, what in _WATER.items():
+        if n := int(np.count_nonzero(columns["classification"] == number)):
+            report.note(
+                f"{n:,} points of class {number} ({what}) are kept: leave them out where ground counts."
+            )
+    return _raw(columns, header, report)
 
 
 def _collect(chunks: Iterable[dict[str, AnyArray]], parts: list[dict[str, AnyArray]]) -> None:
@@ -300,6 +309,7 @@ def read_e57(path: Path, report: IntegrityReport) -> Cloud:
         with library_errors(path, "read the E57 structure", cure):
             n_scans = file.scan_count
             frame = _crs(file, report)
+            refuse_depths(frame, path)
         for index in range(n_scans):
             part = _scan(file, index, path, report)
             if part is not None:
@@ -467,16 +477,7 @@ def read_ply(path: Path, report: IntegrityReport) -> Cloud:
     header = read_ply_header(path, cure="Export or copy the file again")
     form, elements = header.form, header.elements
     report.format = f"PLY {form}"
-    for text in header.comments:
-        if unit_in_words(text) is not None:
-            raise InputError(
-                f"the comment '{text.strip()[:60]}'",
-                expected="coordinates in metres",
-                where=path,
-                cure="Export metres, or LAS with its unit",
-            )
-        if matters(text):
-            report.note(f"A comment says '{text.strip()[:80]}': coordinates are taken as they stand.")
+    frame = _frame_of_remarks(header.comments, path, report)
     if header.comments:
         report.details["comments"] = "; ".join(text.strip() for text in header.comments)[:500]
     index = next((i for i, e in enumerate(elements) if e.name == "vertex"), None)
@@ -493,7 +494,30 @@ def read_ply(path: Path, report: IntegrityReport) -> Cloud:
     for element in elements[index + 1 :]:
         if element.count:
             report.note(f"{element.count:,} elements '{element.name}' are no points and are left out.")
-    return _of_vertices(path, header.end, form, before, vertex, report)
+    cloud = _of_vertices(path, header.end, form, before, vertex, report)
+    cloud.frame = frame
+    return cloud
+
+
+def _frame_of_remarks(comments: list[str], path: Path, report: IntegrityReport) -> LocalFrame | None:
+    """The frame that a mesh of Thalweg states in its comments; notes of what those of others may change.
+
+    Raises
+    ------
+    InputError : coordinates in another unit than metres.
+    """
+    frame = frame_of_comments(comments, path)
+    for text in comments if frame is None else ():
+        if unit_in_words(text) is not None:
+            raise InputError(
+                f"the comment '{text.strip()[:60]}'",
+                expected="coordinates in metres",
+                where=path,
+                cure="Export metres, or LAS with its unit",
+            )
+        if matters(text):
+            report.note(f"A comment says '{text.strip()[:80]}': coordinates are taken as they stand.")
+    return frame
 
 
 _PCD_FORMS: Final = {"ascii": "ascii", "binary": "binary_little_endian"}
@@ -538,6 +562,7 @@ def read_pcd(path: Path, report: IntegrityReport) -> Cloud:
             cure="Convert it with pcl_convert_pcd_ascii_binary <in> <out> 0",
         )
     report.format = f"PCD {form}"
+    _frame_of_remarks([line[1:] for line in text.splitlines() if line.startswith("#")], path, report)
     if head.get("VIEWPOINT", "").split()[:7] not in ([], ["0", "0", "0", "1", "0", "0", "0"]):
         report.note(
             f"It states a VIEWPOINT ({head['VIEWPOINT'].strip()}): coordinates are taken as they stand."
@@ -647,6 +672,32 @@ def _without_height(z: ArrayF, good: ArrayB) -> ArrayB:
     return none
 
 
+def _note_coarse(points: ArrayF, step_m: float, report: IntegrityReport) -> None:
+    """Tell of coordinates (n, 3) whose number format is coarser than a millimetre."""
+    if step_m > _FINE_M:
+        report.note(
+            f"Coordinates up to {np.abs(points).max():.0f} m resolve {step_m * 1000:.3g} mm only (single "
+            "precision, or a coarse scale). Export doubles, a finer scale, or coordinates with a shift."
+        )
+
+
+def corners_of_mesh(path: Path, xyz_m: ArrayF) -> Cloud:
+    """Corners (n, 3) of a mesh (PLY), with the frame and what else its file says of them.
+
+    Raises
+    ------
+    InputError : the header is damaged, or states another unit than metres.
+    """
+    header = read_ply_header(path, cure="Export the mesh again as PLY")
+    report = IntegrityReport.of("mesh", "", [path])
+    frame = _frame_of_remarks(header.comments, path, report)
+    types = dict(next(each.fields for each in header.elements if each.name == "vertex"))
+    single = [i for i, axis in enumerate("xyz") if types[axis] == "f4"]
+    step_m = single_step_m(xyz_m[:, single]) if single and header.form != "ascii" else 0.0
+    _note_coarse(xyz_m, step_m, report)
+    return Cloud(points=xyz_m, report=report, frame=frame, step_m=step_m)
+
+
 def read_cloud(path: Path) -> Cloud:
     """Read a cloud; the format is recognised by content.
 
@@ -694,20 +745,16 @@ def read_cloud(path: Path) -> Cloud:
         for name in ("points", "intensity", "rgb", "t_gps_s", "ring"):
             if (values := getattr(cloud, name)) is not None:
                 setattr(cloud, name, values[good])
-    if cloud.step_m > _FINE_M:
-        report.note(
-            f"Coordinates up to {np.abs(cloud.points).max():.0f} m resolve {cloud.step_m * 1000:.3g} mm "
-            "only (single precision, or a coarse scale). Export doubles, a finer scale, or coordinates with "
-            "a shift."
-        )
+    _note_coarse(cloud.points, cloud.step_m, report)
+    if isinstance(cloud.frame, CRS) and not cloud.frame.is_geocentric:
+        some, degrees = cloud.points[:: max(len(cloud.points) // _SAMPLE, 1), :2], cloud.frame.is_geographic
+        try:
+            check_places(some, cloud.frame, where=path, degrees=degrees)
+        except InputError as error:  # which may be looked at for all that
+            report.note(f"Its coordinates contradict its coordinate system: {error.found}.")
     if isinstance(cloud.frame, CRS) and (cloud.frame.is_geographic or cloud.frame.is_geocentric):
         cloud.points, cloud.frame, note = onto_map(cloud.points, cloud.frame)
         report.note(note)
-    elif isinstance(cloud.frame, CRS):
-        try:
-            check_places(cloud.points[:: max(len(cloud.points) // _SAMPLE, 1), :2], cloud.frame, where=path)
-        except InputError as error:  # which may be looked at for all that
-            report.note(f"Its coordinates contradict its coordinate system: {error.found}.")
     cloud.points = np.ascontiguousarray(cloud.points)
     report.count("points", len(cloud.points))
     t = cloud.t_gps_s
