@@ -71,7 +71,7 @@ def heads() -> bytes:
     return out
 
 
-def boat_log(*, und_m: float = 46.5, delay_ms: float = 0.0, depth: str = "DPTH", gps: bool = True) -> bytes:
+def boat_log(*, und_m: float = -46.5, delay_ms: float = 0.0, depth: str = "DPTH", gps: bool = True) -> bytes:
     """Two crossings of a river in 60 s at 10 Hz, 4 m deep; a receiver whose fixes come `LAG_S` late."""
     out = [
         heads(),

@@ -106,7 +106,7 @@ def test_of_two_receivers_the_one_with_the_better_fixes_counts():
     log = {
         "GPS": pd.concat([receiver(0, [3, 3, 3]), receiver(1, [6, 6, 3])]),
         "GPA": pd.DataFrame(
-            {"t_s": [0.0, 0.0], "I": [0, 1], "HAcc": [9.0, 0.02], "VAcc": [9.0, 0.03], "Und": [40, 46.5]}
+            {"t_s": [0.0, 0.0], "I": [0, 1], "HAcc": [9.0, 0.02], "VAcc": [9.0, 0.03], "Und": [-40, -46.5]}
         ),
         "PARM": pd.DataFrame({"Name": [b"SPEED", b"GPS_DELAY_MS", b"X"], "Value": [7.0, 80.0, 9.0]}),
     }  # fmt: skip
