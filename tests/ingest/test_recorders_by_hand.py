@@ -278,7 +278,7 @@ def test_the_instruments_clock_is_set_by_the_time_of_day(ahead_s, words):
 
 
 def test_ends_of_slanted_beams_by_hand():
-    """45 degrees would be as far aside as deep; at heading 90 forward is east, and starboard south."""
+    """45 degrees would be as far aside as deep; at heading 90 forward is east, and port north."""
     table = pd.DataFrame(
         {
             "beam_angle_deg": [45.0], "heading_deg": [80.0], "variation_deg": [10.0], "pitch_deg": [0.0],
@@ -287,7 +287,7 @@ def test_ends_of_slanted_beams_by_hand():
     )  # fmt: skip
     found = _slanted(table, np.array([[10.0, 10.0, 10.0, 0.0]]), np.array([1.7e9]))
     degree = math.pi / 180 * 6_371_000.0
-    assert_allclose((found["latitude"] - 60.0) * degree, [-10.0, 10.0, 0.0], atol=1e-5)
+    assert_allclose((found["latitude"] - 60.0) * degree, [10.0, -10.0, 0.0], atol=1e-5)
     assert_allclose((found["longitude"] - 13.0) * degree / 2, [0.0, 0.0, 10.0], atol=1e-5)
     assert_allclose(found["depth_m"], 10.0)
     assert set(found["time"]) == {"2023-11-14T22:13:20.000Z"}

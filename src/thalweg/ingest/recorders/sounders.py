@@ -57,8 +57,8 @@ _DEGREE_M: Final = math.pi / 180.0 * 6_371_000.0
 _NO_FIX: Final = 0
 _FIX: Final = {1: "single", 2: "dgnss", 3: "single", 4: "fixed", 5: "float", 6: "dead_reckoning"}
 _BEAM_ANGLE_DEG: Final = {0: 15.0, 1: 20.0, 2: 30.0}
-_BEAM_AZIMUTH_DEG: Final = np.array([90.0, -90.0, 0.0, 180.0])
-"""Janus configuration: beams 1 and 2 to starboard and port, 3 and 4 forward and aft."""
+_BEAM_AZIMUTH_DEG: Final = np.array([-90.0, 90.0, 0.0, 180.0])
+"""Janus configuration that looks down: beams 1 and 2 to port and starboard, 3 and 4 forward and aft."""
 
 
 def is_lowrance(head: bytes, size: int) -> bool:
