@@ -171,9 +171,10 @@ def test_rangefinders_count_where_they_look_down_and_see_the_bottom(tmp_path):
     assert depths["depth_m"].value_counts().to_dict() == {4.0: 540, 0.0: 60}
 
 
-def test_without_undulation_there_is_no_ellipsoidal_height(tmp_path):
+@pytest.mark.parametrize("und_m", [float("nan"), 0.0])
+def test_without_undulation_there_is_no_ellipsoidal_height(tmp_path, und_m):
     path = tmp_path / "log.bin"
-    path.write_bytes(boat_log(und_m=float("nan")))
+    path.write_bytes(boat_log(und_m=und_m))
     log = read_ardupilot([path], TrackOptions())
     assert log.states["h_ell_m"].isna().all()
     assert any("above mean sea level" in note for note in log.report.notes)

@@ -334,6 +334,10 @@ def _dataflash_fixes(log: Messages, report: IntegrityReport) -> tuple[pd.DataFra
         )
     quality = _main(log.get("GPA", _NONE), "I", chosen)
     near = _joined(gps[["t_s"]], quality)
+    # drivers that know no undulation or accuracy leave 0
+    near = near.assign(
+        **{name: near[name].where(near[name] != 0) for name in ("Und", "VAcc") if name in near}
+    )
     alt = gps["Alt"].astype(float)
     return (
         _fixes(
