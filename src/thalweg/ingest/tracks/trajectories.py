@@ -75,6 +75,18 @@ _REMARKS: Final = {
     "qx qy qz qw": re.compile(r"(?<![a-z])q?x[\s,/]*q?y[\s,/]*q?z[\s,/]*q?w(?![a-z])", re.IGNORECASE),
 }
 """Orders of a quaternion as people write them in comments."""
+_FRAMES: Final = re.compile(
+    r"(?i)\b(?-i:T_[A-Z][A-Z]\b|T_[a-z]+_[a-z]+)|\binverse|\b[zx] *(?:is )?down|world2|w2c|\bodom\b"
+)
+"""Words on the frames of poses; one that is not read is quoted."""
+_OTHER_COLUMNS: Final = (
+    (r"(?:^|[\s,;#])(?:lat|latitude)(?:_?deg)?[\s,;]+(?:lon|long|lng|longitude)(?:_?deg)?[\s,;\w]*q_?[wx]",
+     "latitudes and longitudes", "Give it as a table of positions, or turn its places into metres"),
+    (r"(?i)\b[pq]_SR_", "poses of the world in the body (SR)", "Invert them: the body in the world (RS)"),
+)  # fmt: skip
+"""Columns that name something else than poses of the body in a world in metres."""
+_FARTHEST_M: Final = 200_000.0
+"""No survey reaches farther from its origin."""
 
 BODY_AXES: Final = {
     "forward-right-down": np.eye(3),
@@ -252,7 +264,15 @@ def _numbers(kind: str, path: Path, report: IntegrityReport) -> ArrayF:
             cure="Check the file",
         )
     table = np.array(rows)
-    for head in filter(matters, heads):
+    for form, found, cure in _OTHER_COLUMNS:
+        if head := next((head for head in heads if re.search(form, head)), ""):
+            raise InputError(
+                f"{found}: '{head[:60]}'",
+                expected="metres in a world, and rotations from the body into it",
+                where=path,
+                cure=cure,
+            )
+    for head in (head for head in heads if matters(head) or _FRAMES.search(head)):
         report.note(f"{path.name} says '{head[:80]}', which is not read.")
     if kind == "kitti":
         return table
@@ -320,6 +340,13 @@ def states_of_poses(poses: TextPoses, options: TrackOptions) -> PoseLog:
     t_gps_s = gps_from_scale(poses.t_s, unit)
     if unit not in ("unix_s", "gps_s"):
         report.note(f"Its times are taken as {TIME_SCALES[unit]}.")
+    if len(poses.t_s) and (away_m := float(np.abs(poses.position_m).max())) > _FARTHEST_M:
+        raise InputError(
+            f"poses up to {away_m / 1000:,.0f} km from the origin of their world",
+            expected="metres east, north, up from the origin (campaign.origin)",
+            where=where,
+            cure="If they are places on a map (UTM), take off those of the origin",
+        )
     lat, lon, height = frame.to_geodetic(poses.position_m)
     # attitudes are stated in the local level of each position, not in that of the frame's origin
     R_enu_wcs = np.swapaxes(frame.R_wcs_enu(lat, lon), -1, -2)
