@@ -308,6 +308,45 @@ def test_inertial_explorer_with_a_time_of_the_day(tmp_path):
 
 
 @pytest.mark.parametrize(
+    ("usual", "stated", "words"),
+    [
+        ("(sec)", "(UTC)", r"times in 'UTC'"),
+        ("(m/s)  (m/s) (m/s)", "(mph)  (mph) (mph)", "unit 'mph'"),
+        ("      (m)  ", "     (mm)  ", "unit 'mm' of H-Ell"),
+    ],
+)
+def test_inertial_explorer_in_other_units_is_refused(tmp_path, usual, stated, words):
+    with pytest.raises(InputError, match=words):
+        read_poses([export(tmp_path / "a.txt", header=HEADER.replace(usual, stated))], "sbet", TrackOptions())
+
+
+@pytest.mark.parametrize(
+    ("line", "quoted"),
+    [
+        ("Datum:       NAD83(2011)", True),
+        ("Datum:       WGS84, (processing datum)", False),
+        ("Time:        UTC seconds of the week", True),
+        ("UTC Offset:  18 s", False),
+        ("Standard deviations: 95 %", True),
+    ],
+)
+def test_headers_of_inertial_explorer_are_quoted(tmp_path, line, quoted):
+    header = HEADER.replace("Project:     Elbe", line)
+    log = read_poses([export(tmp_path / "a.txt", header=header)], "sbet", TrackOptions())
+    assert any(line in note for note in log.report.notes) == quoted
+
+
+def test_yaw_and_zeros_of_inertial_explorer_are_told(tmp_path):
+    path = export(tmp_path / "a.txt", header=HEADER.replace("Heading", "    Yaw"))
+    path.write_text(path.read_text().replace("0.01 0.02 0.03", "0.00 0.00 0.00"))
+    log = read_poses([path], "sbet", TrackOptions())
+    assert log.states["sigma_east_m"].isna().all()
+    notes = " ".join(log.report.notes)
+    assert "own yaw counts counterclockwise" in notes
+    assert "no standard deviations of positions" in notes
+
+
+@pytest.mark.parametrize(
     ("head", "place", "words"),
     [
         ("# time lat lon alt qx qy qz qw", "51.05 13.75 150", "latitudes and longitudes"),

@@ -408,6 +408,12 @@ _ALIASES: Final = {
     "sd_heading": ("HdngSD", "HeadingSD", "SDHeading", "AzimuthSD"),
 }
 """Our names of the columns -> those of export profiles, told without regard to capitals and hyphens."""
+_METRES: Final = re.compile(r"(?:\+/-)?m(?:et(?:er|re)s?)?(?:/s(?:ec)?)?")
+_EXPORT_REMARKS: Final = re.compile(
+    r"(?i)^\s*datum:(?! *(?:wgs ?-?84|itrf))|\btime\b(?!.*offset).*\butc\b|\b9\d(?:\.\d+)? ?%"
+    r"|\b[23][ -]?sigma"
+)
+"""Lines of a header on datum, time and standard deviations that change what the columns mean."""
 _MOST_DAYS_APART: Final = 1.5
 """Middle of the stated day from a time: half a day, and one that a zone may shift the date."""
 _NEEDED: Final = ("tow", "lat", "lon", "height", "roll", "pitch", "heading")
@@ -462,6 +468,10 @@ def read_inertial_explorer(files: Sequence[Path], options: TrackOptions | None =
                 cure="Export it, or set logs.gps_week",
             )
         columns["week"] = float(options.gps_week)
+    zero = [
+        name for name in columns.columns.astype(str) if name.startswith("sd_") and not columns[name].any()
+    ]
+    columns = columns.drop(columns=zero)  # of a profile with too few digits, or of no filter
     if "sd_horizontal" in columns:
         report.note("SDHoriz holds both axes: east and north are taken as alike, SDHoriz over the root of 2.")
         for name in ("sd_east", "sd_north"):
@@ -519,7 +529,14 @@ def _columns(path: Path, report: IntegrityReport) -> pd.DataFrame:
             where=path,
             cure="Export with a header",
         )
+    for line in filter(_EXPORT_REMARKS.search, lines[:first]):
+        report.note(f"{path.name} says '{line.strip()[:80]}', which is not read.")
     names = lines[first].split()
+    if "yaw" in map(str.lower, names):
+        report.note(
+            f"{path.name} names its heading Yaw: taken as clockwise from north. NovAtel's own yaw counts "
+            "counterclockwise: export Heading."
+        )
     units = re.findall(r"\(([^)]*)\)", "".join(lines[first + 1 : first + 2]))
     if len(units) > len(names):  # degrees, minutes and seconds in brackets of their own
         text = "\n".join(map(str.strip, units))
@@ -589,7 +606,14 @@ def _columns(path: Path, report: IntegrityReport) -> pd.DataFrame:
                     cure="Export angles in degrees",
                 )
             values = values * _DEG_OF_UNIT[word]
-        elif name not in ("tow", "week", "date") and not unit.strip().lower().startswith("m"):
+        elif name == "tow" and "utc" in unit.lower():
+            raise InputError(
+                f"times in '{unit}'",
+                expected="seconds of the GPS week, without leap seconds",
+                where=path,
+                cure="Export GPS time",
+            )
+        elif name not in ("tow", "week", "date") and not _METRES.fullmatch(unit.strip().lower()):
             raise InputError(
                 f"unit '{unit}' of {_ALIASES[name][0]}", expected="m, m/s", where=path, cure="Export metres"
             )
