@@ -129,7 +129,8 @@ def _refuse_upside_down(log: PoseLog, where: Path) -> None:
             f"the bow points up or down by {np.median(pitch):.0f} deg (median of {len(pitch):,} poses)",
             expected="a boat that floats upright, in a world x east, y north, z up",
             where=where,
-            cure="Turn the world: that of a camera's odometry has z forward, y down; or correct body_axes",
+            cure="Are angles in degrees taken for radians? Else turn the world (of a camera's odometry: z "
+            "forward, y down), or correct body_axes",
         )
     roll = log.states["roll_rad"].dropna().to_numpy()
     over = np.cos(roll) < 0.0
