@@ -517,9 +517,12 @@ def test_topics_that_are_named_are_taken(bag):
 
 
 def test_depths_without_positions_are_read(bag):
-    bag.depth("/echo", UNIX_S, 3.0)
+    """The end of its reach, 50 m, is what a driver writes that saw nothing."""
+    for k, metres in enumerate([3.0, 50.0, np.inf, 0.1, np.nan]):
+        bag.depth("/echo", UNIX_S + k, metres)
     log = read_depths([bag.close()])
-    assert (len(log.depths), len(log.positions), log.report.synchronised) == (1, 0, True)
+    assert log.depths["depth_m"].tolist() == [3.0, 0.0, 0.0, 0.0, 0.0]
+    assert (len(log.positions), log.report.synchronised) == (0, True)
 
 
 def test_mounting_of_tf_static(bag):

@@ -871,7 +871,8 @@ def _fixes(path: Path, topic: str, report: IntegrityReport) -> pd.DataFrame:
 
 def _depths(path: Path, topic: str, report: IntegrityReport) -> pd.DataFrame:
     rows = [
-        (stamp_s, each.range if each.min_range <= each.range <= (each.max_range or math.inf) else 0.0)
+        # drivers older than REP 117 write the end of the reach where they saw nothing
+        (stamp_s, each.range if each.min_range <= each.range < (each.max_range or math.inf) else 0.0)
         for stamp_s, _, each in _messages(path, topic, report)
     ]
     stamp_s, depth = np.array(rows, np.float64).reshape(-1, 2).T
