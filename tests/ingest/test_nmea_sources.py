@@ -215,6 +215,15 @@ def test_heights_in_feet_are_converted(tmp_path):
     assert log.positions["h_ell_m"][0] == pytest.approx(30.48 + 45.0)
 
 
+@pytest.mark.parametrize(("apart_m", "told"), [(0.3, True), (0.0, False)])
+def test_two_frequencies_in_one_sentence_are_named(tmp_path, apart_m, told):
+    text = ""
+    for k in range(30):
+        text += gga(START + k) + rmc(START + k)
+        text += "".join(nmea(f"SDDPT,{3 + 0.02 * k + low * apart_m:.2f},0.0") for low in (0, 1))
+    assert noted(read(tmp_path, text), "DPT depths alternate by 0.3") == told
+
+
 def test_a_separation_of_0_is_named(tmp_path):
     text = "".join(gga(START + k).replace(",45.000,M", ",0.0,M") for k in range(3))
     body = [nmea(line[1:].partition("*")[0]) for line in text.splitlines()]

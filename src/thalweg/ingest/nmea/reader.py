@@ -220,6 +220,8 @@ _NUMBERS: Final = (
 """Columns of the table of sentences besides talker, kind and fix."""
 _PLACE: Final = {name: k for k, name in enumerate(_NUMBERS)}
 _UNKNOWN: Final = array("d", [_NAN] * len(_NUMBERS))
+_ALTERNATING, _ALTERNATING_M = 5.0, 0.05
+"""How much more depths differ from their neighbour than from the one behind it if two sounders take turns."""
 _COARSE_M: Final = 1.0
 """Last digit of a latitude above which a track has the steps of its own log."""
 _RANK: Final = {"GGA": 0, "GNS": 0, "RMC": 1, "GLL": 2}
@@ -833,6 +835,13 @@ def _depths(table: pd.DataFrame, report: IntegrityReport) -> pd.DataFrame:
     depths = table[table["depth_m"].notna()]
     kept = [_one_talker(part, report) for _, part in depths.groupby("kind", sort=False)]
     depths = pd.concat(kept).sort_index() if kept else depths
+    for kind, own in depths[depths["depth_m"] > 0].groupby("kind")["depth_m"]:
+        step_m = _median(own.diff().abs().dropna())
+        if step_m > max(_ALTERNATING_M, _ALTERNATING * _median(own.diff(2).abs().dropna(), np.inf)):
+            report.note(
+                f"{kind} depths alternate by {step_m:.2f} m: two frequencies or sounders in one sentence? "
+                "Both are taken; split the log to take one."
+            )
     depths = depths[["talker", "kind", "line", "file", "t_host_s", "depth_m", "offset_m", "base"]]
     of_base = table[["second", "t_gps_s"]].reindex(depths["base"])
     return depths.assign(
