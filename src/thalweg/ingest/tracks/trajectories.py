@@ -683,6 +683,10 @@ def _weeks(day: ArrayF, tow_s: ArrayF, where: str) -> ArrayF:
 # ---------------------------------------------------------------- GPX
 
 _UNUSED: Final = {"wpt": "waypoints", "rtept": "points of routes"}
+_UNIT_IN_WORDS: Final = re.compile(rb"(?i)\b(?:depths?|units?)\b[^<>]{0,30}\b(?:feet|foot|ft|fathoms?)\b")
+_UNIT_OF_DEPTHS: Final = re.compile(rb"(?i)depth[^<>]*(?:unit|uom|ft|feet|fathom)[^<>]*>")
+_TAKE_TURNS: Final = 0.1
+"""Share of points whose next one in time is of another track, where a receiver makes one after the other."""
 _FIX_OF_GPX: Final = {"none": "none", "dgps": "dgnss"}
 
 
@@ -702,8 +706,11 @@ def read_gpx(files: Sequence[Path]) -> PositionLog:
     depths: list[tuple[float, float]] = []
     foreign: Counter[str] = Counter()
     without_zone = below = 0
+    remark = ""
     for path in files:
         data = path.read_bytes()
+        if (said := _UNIT_IN_WORDS.search(data.split(b"<trk", 1)[0])) and not _UNIT_OF_DEPTHS.search(data):
+            remark = said[0].decode("utf-8", "replace")
         report.bytes_read += len(data)
         root = parse_xml(data, path, "track points with lat, lon and time")
         try:
@@ -753,6 +760,9 @@ def read_gpx(files: Sequence[Path]) -> PositionLog:
     report.note("GPX states no standard deviations: orientation.sigma_position_m says them.")
     if doubt := doubtful_date(t):
         report.note(doubt)
+    segment = np.cumsum(np.diff(t, prepend=t[0]) < 0)
+    if len(t) > 1 and np.mean(np.diff(segment[np.argsort(t, kind="stable")]) != 0) > _TAKE_TURNS:
+        report.note("Its tracks are of the same time, of two receivers or recorded twice: give one of them.")
     if without_zone:
         report.note(
             f"{without_zone:,} times state no zone: taken as UTC. Some programs write local time: "
@@ -763,6 +773,13 @@ def read_gpx(files: Sequence[Path]) -> PositionLog:
     if below > 0.9 * len(rows):
         report.note("Its elevations are negative: depths, perhaps, which are not read from there.")
     log = PositionLog(report=report, positions=frame_of(GNSS_POSITION, dict(table), unknown=np.nan))
+    if depths and remark:
+        raise InputError(
+            f"depths without a unit of their own beside '{remark}'",
+            expected="metres, or depths that state their unit",
+            where=files[0],
+            cure="Name the unit in the elements (depth_ft, or unit='ft'), or export metres",
+        )
     if depths:
         unix_s, depth_m = np.array(depths).T
         values = {"t_gps_s": gps_from_unix(unix_s), "depth_m": depth_m, "line": np.arange(1, len(depths) + 1)}
