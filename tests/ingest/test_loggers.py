@@ -51,6 +51,18 @@ def test_a_deeper_export_gives_depths_and_a_track(tmp_path):
     assert (table["lat_deg"].iloc[3], table["fix"].iloc[3]) == (35.0003, "single")
 
 
+def test_a_deeper_export_in_other_units_or_without_places(tmp_path):
+    """59 degrees are Fahrenheit, and then depths are feet; 0, 0 is no place."""
+    path = tmp_path / "depths.csv"
+    path.write_text("".join(f"51.0{k},13.7{k},8.2,59.0,{UNIX_MS + k}\n" for k in range(9)))
+    with pytest.raises(InputError, match="water of 59 degrees"):
+        read_deeper([path], TrackOptions())
+    path.write_text("lat,lon,depth_ft,temperature,time\n" + path.read_text())
+    assert recognise(path) != "deeper"
+    path.write_text(deeper(9) + "0.0,0.0,1.0,15.0,1722032348825\n")
+    assert len(read_deeper([path], TrackOptions()).soundings) == 9
+
+
 def test_points_are_no_deeper_export(tmp_path):
     """Five columns of a cloud: no milliseconds of this century stand in the last one."""
     path = tmp_path / "cloud.csv"

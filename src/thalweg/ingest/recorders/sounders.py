@@ -155,6 +155,7 @@ def _frames(path: Path, report: IntegrityReport) -> pd.DataFrame:
 # ---------------------------------------------------------------- Deeper
 
 
+_WARMEST_C: Final = 45.0
 _NUMBER: Final = rb"-?\d+(?:\.\d+)?"
 _DEEPER: Final = re.compile(
     rb"-?\d{1,2}\.\d+,-?\d{1,3}\.\d+," + _NUMBER + rb"," + _NUMBER + rb",[12]\d{12}\r?"
@@ -187,7 +188,7 @@ def read_deeper(files: Sequence[Path], options: TrackOptions) -> PositionLog:
         whole = [line for line in rows if _DEEPER.fullmatch(line)]
         report.lose("bad_lines", len(rows) - len(whole))
         parts.append(np.array([line.split(b",") for line in whole], np.float64).reshape(-1, 5))
-    lat, lon, depth, _, ms = np.concatenate(parts).T
+    lat, lon, depth, temperature, ms = np.concatenate(parts).T
     if not len(lat):
         raise InputError(
             "no row of five numbers",
@@ -196,10 +197,18 @@ def read_deeper(files: Sequence[Path], options: TrackOptions) -> PositionLog:
             cure="Export it again",
         )
     report.count("pings", len(lat))
-    report.note("Depths are below the transducer; temperatures are not read.")
+    if (warm := float(np.median(temperature))) > _WARMEST_C:
+        raise InputError(
+            f"water of {warm:.0f} degrees (median)",
+            expected="degrees Celsius and metres",
+            where=files[0],
+            cure="If they are Fahrenheit, and depths feet, export in metric units, or put names above: "
+            "lat,lon,depth_ft,temperature,time",
+        )
+    report.note("Depths are metres below the transducer; temperatures are not read.")
     place = {"lat_deg": lat, "lon_deg": lon}
     depth = np.where(depth < _DEEPEST_FT * FOOT_M, depth, 0.0)
-    on_earth = (np.abs(lat) <= 90.0) & (np.abs(lon) <= 180.0)
+    on_earth = (np.abs(lat) <= 90.0) & (np.abs(lon) <= 180.0) & ((lat != 0.0) | (lon != 0.0))
     return _log(report, gps_from_unix(ms * 1e-3), place, on_earth, depth, "Deeper")
 
 
