@@ -516,6 +516,16 @@ def test_topics_that_are_named_are_taken(bag):
     assert positions["lat_deg"].iloc[0] == pytest.approx(51.001)
 
 
+def test_attitudes_without_a_fix_are_refused(bag):
+    for k in range(4):
+        bag.imu(UNIX_S + k, LEVEL)
+        bag.fix(UNIX_S + k, k, status=-1)
+    path = bag.close()
+    for read in (describe, lambda each: read_poses([each], "ins")):
+        with pytest.raises(InputError, match="4 positions of /fix, none with a fix"):
+            read(path)
+
+
 def test_depths_without_positions_are_read(bag):
     """The end of its reach, 50 m, is what a driver writes that saw nothing."""
     for k, metres in enumerate([3.0, 50.0, np.inf, 0.1, np.nan]):
