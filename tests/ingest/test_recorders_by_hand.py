@@ -229,7 +229,7 @@ def test_fixes_beside_an_ensemble():
 def test_an_ensemble_by_hand():
     """Of several fixes the nearest in time; bottoms beyond 655.36 m have a third byte."""
     fixed = bytearray(42)
-    fixed[5], fixed[26:28] = 2, struct.pack("<h", -150)
+    fixed[5], fixed[26:30] = 2, struct.pack("<2h", 4500, -150)
     variable = bytearray(24)
     variable[4:11] = bytes([24, 5, 17, 12, 0, 30, 50])
     variable[16:24] = struct.pack("<HHhh", 3, 9050, -120, 250)
@@ -244,8 +244,8 @@ def test_an_ensemble_by_hand():
     }  # fmt: skip
     row = _ensemble(blocks)
     expected = {
-        "beam_angle_deg": 30.0, "variation_deg": -1.5, "heading_deg": 90.5, "pitch_deg": -1.2,
-        "roll_deg": 2.5,
+        "beam_angle_deg": 30.0, "alignment_deg": 45.0, "variation_deg": -1.5,
+        "heading_deg": 90.5, "pitch_deg": -1.2, "roll_deg": 2.5,
         "transducer_m": 0.3, "vertical_m": 12.345, "sounder_m": 9.5, "beam0_m": 10.0, "beam1_m": 666.36,
         "beam2_m": 12.0, "beam3_m": 1323.72, "lat_deg": 51.0, "lag_s": 0.1,
         "rtc_unix_s": pd.Timestamp("2024-05-17T12:00:30.5Z").timestamp(),

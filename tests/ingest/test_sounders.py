@@ -167,6 +167,7 @@ def test_slanted_beams_hit_where_they_look(tmp_path):
     assert north.tolist() == pytest.approx([away, -away, 0.0, 0.0], abs=1e-6)
     assert east.tolist() == pytest.approx([0.0, 0.0, away, -away], abs=1e-6)
     assert table["depth_m"].tolist() == pytest.approx([4.0] * 4)
+    assert any("states no magnetic variation (EB)" in note for note in found[1])
 
 
 def test_a_lost_beam_leaves_the_others(tmp_path):

@@ -279,6 +279,13 @@ def read_pd0(files: Sequence[Path], options: TrackOptions) -> PositionLog:
     else:
         log = _log(report, gps_from_unix(t_unix_s), place, known, mean, "PD0 slanted beams")
         report.note("No vertical beam: each slanted beam is a sounding where it hits, by the compass.")
+        if not table["variation_deg"].any():
+            report.note("The log states no magnetic variation (EB): beams are turned by the compass alone.")
+        if (apart_deg := table["alignment_deg"].median()) != 0:
+            report.note(
+                f"The log states beam 3 {apart_deg:+.2f} deg from the bow (EA): not applied, as the "
+                "instrument's own compass is that of beam 3."
+            )
         beams = table[[f"beam{k}_m" for k in range(4)]].to_numpy(np.float64)
         log.soundings = _slanted(table[known], beams[known], t_unix_s[known])
     return _with_fixes(log, table)
@@ -327,7 +334,8 @@ def _ensemble(blocks: dict[int, list[bytes]]) -> dict[str, float]:
 
     row = {
         "beam_angle_deg": _BEAM_ANGLE_DEG.get(int(number(_FIXED, 5, "u1")) & 3, 20.0),
-        "variation_deg": number(_FIXED, 26, "<i2") * 0.01,
+        "alignment_deg": number(_FIXED, 26, "<i2") * 0.01,
+        "variation_deg": number(_FIXED, 28, "<i2") * 0.01,
         "heading_deg": number(_VARIABLE, 18, "<u2") * 0.01,
         "pitch_deg": number(_VARIABLE, 20, "<i2") * 0.01,
         "roll_deg": number(_VARIABLE, 22, "<i2") * 0.01,
