@@ -181,9 +181,18 @@ def test_a_lost_beam_leaves_the_others(tmp_path):
     assert log.soundings["depth_m"].tolist() == pytest.approx([4.0] * 7)
 
 
-def test_an_adcp_without_fixes_is_refused(tmp_path):
+def test_a_vertical_beam_of_all_ones_is_no_bottom(tmp_path):
     path = tmp_path / "river.PD0"
-    path.write_bytes(ensemble(0, vertical_m=4.0, beams_m=4.0, heading_deg=0.0, quality=0))
+    depths = [4.0, 4_294_967.295, 4.0]
+    pings = [ensemble(k, vertical_m=x, beams_m=4.0, heading_deg=0.0) for k, x in enumerate(depths)]
+    path.write_bytes(b"".join(pings))
+    assert read_pd0([path], TrackOptions()).soundings["depth_m"].tolist() == [4.0, 4.0]
+
+
+@pytest.mark.parametrize("quality", [0, 7, 8])
+def test_an_adcp_without_fixes_is_refused(tmp_path, quality):
+    path = tmp_path / "river.PD0"
+    path.write_bytes(ensemble(0, vertical_m=4.0, beams_m=4.0, heading_deg=0.0, quality=quality))
     with pytest.raises(InputError, match="1 ensembles without a position"):
         describe(path)
 

@@ -54,7 +54,8 @@ _SET_UNIX_S: Final = (946_684_800, 4_000_000_000)
 
 _DEGREE_M: Final = math.pi / 180.0 * 6_371_000.0
 """A degree of latitude; beams end some metres away, where no better is needed."""
-_NO_FIX: Final = 0
+_NO_FIX: Final = (0, 7, 8)
+"""Qualities of GGA: none, typed in by hand, a simulator's."""
 _FIX: Final = {1: "single", 2: "dgnss", 3: "single", 4: "fixed", 5: "float", 6: "dead_reckoning"}
 _BEAM_ANGLE_DEG: Final = {0: 15.0, 1: 20.0, 2: 30.0}
 _BEAM_AZIMUTH_DEG: Final = np.array([-90.0, 90.0, 0.0, 180.0])
@@ -377,7 +378,7 @@ def _gga(data: bytes) -> dict[str, float]:
         return none
     lat, lon = np.frombuffer(data, "<f8", 1, 31)[0], np.frombuffer(data, "<f8", 1, 40)[0]
     south, west = data[39:40] == b"S", data[48:49] == b"W"
-    if data[49] == _NO_FIX or not (abs(lat) <= 90 and abs(lon) <= 180 and (lat or lon)):
+    if data[49] in _NO_FIX or not (abs(lat) <= 90 and abs(lon) <= 180 and (lat or lon)):
         return none
     return {
         "lat_deg": -float(lat) if south else float(lat),
@@ -532,7 +533,12 @@ def _transect(path: Path, report: IntegrityReport) -> pd.DataFrame:
     table["draught_m"] = 0.0 if draught is None else float(draught) * metres("Setup", "sensorDepth")
     clock = table.pop("utc")
     table["day_s"] = clock // 10_000 * 3600 + clock // 100 % 100 * 60 + clock % 100
-    fixed = (table["quality"] > 0) & (table["lat_deg"].abs() <= 90) & (table["lon_deg"].abs() <= 180)
+    fixed = (
+        ~table["quality"].isin(_NO_FIX)
+        & (table["quality"] > 0)
+        & (table["lat_deg"].abs() <= 90)
+        & (table["lon_deg"].abs() <= 180)
+    )
     fixed &= (table["lat_deg"] != 0) | (table["lon_deg"] != 0)
     table.loc[~fixed, ["lat_deg", "lon_deg", "day_s"]] = np.nan
     return table
@@ -550,6 +556,7 @@ def _log(
 ) -> PositionLog:
     """Positions, depths, and soundings of pings that have a place and a bottom."""
     depth = np.maximum(np.asarray(depth_m, np.float64), 0.0)  # below 0 stands for none as well
+    depth = np.where(depth < _DEEPEST_FT * FOOT_M, depth, 0.0)
     places = pd.DataFrame(place)
     track = frame_of(
         GNSS_POSITION, {**places, "t_gps_s": t_gps_s, "fix": "single", "n_sats": -1}, unknown=np.nan
