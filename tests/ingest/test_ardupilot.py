@@ -71,7 +71,7 @@ def heads() -> bytes:
     return out
 
 
-def boat_log(*, und_m: float = 46.5, delay_ms: float = 0.0, depth: str = "DPTH", gps: bool = True) -> bytes:
+def boat_log(*, und_m: float = -46.5, delay_ms: float = 0.0, depth: str = "DPTH", gps: bool = True) -> bytes:
     """Two crossings of a river in 60 s at 10 Hz, 4 m deep; a receiver whose fixes come `LAG_S` late."""
     out = [
         heads(),
@@ -171,9 +171,10 @@ def test_rangefinders_count_where_they_look_down_and_see_the_bottom(tmp_path):
     assert depths["depth_m"].value_counts().to_dict() == {4.0: 540, 0.0: 60}
 
 
-def test_without_undulation_there_is_no_ellipsoidal_height(tmp_path):
+@pytest.mark.parametrize("und_m", [float("nan"), 0.0])
+def test_without_undulation_there_is_no_ellipsoidal_height(tmp_path, und_m):
     path = tmp_path / "log.bin"
-    path.write_bytes(boat_log(und_m=float("nan")))
+    path.write_bytes(boat_log(und_m=und_m))
     log = read_ardupilot([path], TrackOptions())
     assert log.states["h_ell_m"].isna().all()
     assert any("above mean sea level" in note for note in log.report.notes)
@@ -208,7 +209,7 @@ def test_soundings_of_a_log_make_a_bed(boat):
 
 def telemetry(
     *, unix_s: float = 1.7e9, component: int = 1, system: int = 1, n: int = 100, ranges_cm: Any = (),
-    signed: bool = False, said: Sequence[str] = (),
+    signed: bool = False, said: Sequence[str] = (), raw_from_us: int = 0,
 ) -> bytes:  # fmt: skip
     """Five a second; of the eighth a receiver without heights and sigmas, of the ninth no place."""
     vehicle = mavlink.MAVLink(None, srcSystem=system, srcComponent=component)
@@ -229,7 +230,7 @@ def telemetry(
         there = (*((0, 0) if k == 8 else place), 101_000, 1_000, 100, 50, -20, 30_000)
         say(mavlink.MAVLink_global_position_int_message(boot_ms, *there), t_s)
         fix, n_sats, *more = (3, 255, 0, 0, 0) if k == 7 else (6, 15, 147_500, 28, 40)
-        raw = (1000 * boot_ms, fix, *place, 101_000, 80, 90, 100, 0, n_sats)
+        raw = (raw_from_us + 1000 * boot_ms, fix, *place, 101_000, 80, 90, 100, 0, n_sats)
         say(mavlink.MAVLink_gps_raw_int_message(*raw, *more), t_s)
         for number, cm in enumerate(ranges_cm[k] if ranges_cm else ()):
             say(mavlink.MAVLink_distance_sensor_message(boot_ms, 30, 5000, cm, 1, number, 25, 0), t_s)
@@ -276,6 +277,17 @@ def test_signed_telemetry_is_recognised(tmp_path):
     assert len(read_ardupilot([path], TrackOptions()).states) == 100
 
 
+@pytest.mark.parametrize("unix_s", [1.7e9, 0.0])
+def test_fixes_may_be_stamped_since_1970(tmp_path, unix_s):
+    """MAVLink leaves it open; without SYSTEM_TIME nothing ties them to the clock of all others."""
+    path = tmp_path / "flight.tlog"
+    path.write_bytes(telemetry(unix_s=unix_s, raw_from_us=1_699_999_980_000_000))
+    log = read_ardupilot([path], TrackOptions())
+    t = log.positions["t_gps_s"].to_numpy()
+    np.testing.assert_allclose(t, log.states["t_gps_s"] if unix_s else [], atol=1e-3)
+    assert log.report.losses.get("fixes_on_another_clock", 0) == (0 if unix_s else 100)
+
+
 def test_telemetry_without_a_clock_has_no_gps_time(tmp_path):
     path = tmp_path / "flight.tlog"
     path.write_bytes(telemetry(unix_s=0.0))
@@ -304,14 +316,16 @@ def test_of_two_vehicles_or_two_starts_one_is_taken(tmp_path, other):
 
 def test_of_two_sounders_one_is_taken_and_what_lies_outside_its_reach_is_no_bottom(tmp_path):
     path = tmp_path / "flight.tlog"
-    path.write_bytes(telemetry(n=20, ranges_cm=[(410, 5001 if k % 2 else 0) for k in range(20)]))
+    path.write_bytes(telemetry(n=20, ranges_cm=[(410, 5000 if k % 2 else 0) for k in range(20)]))
     log = read_ardupilot([path], TrackOptions())
     assert set(log.depths["depth_m"]) == {4.1}
     assert log.report.counts["pings_of_other_sounders"] == 20
-    path.write_bytes(telemetry(n=20, ranges_cm=[(5001 if k % 4 else 410,) for k in range(20)]))
+    path.write_bytes(
+        telemetry(n=20, ranges_cm=[(5001 if k % 3 else 5000 if k % 4 else 410,) for k in range(20)])
+    )
     assert read_ardupilot([path], TrackOptions()).depths["depth_m"].value_counts().to_dict() == {
-        0: 15,
-        4.1: 5,
+        0: 18,
+        4.1: 2,
     }
 
 

@@ -60,6 +60,16 @@ def test_heights_and_datum_of_a_track(tmp_path):
     assert log.positions["h_ell_m"].tolist() == [120.5]
     assert 2e-4 < abs(log.positions["lon_deg"][0] + 98.5) < 5e-4
     assert "are in NAD27, as the file states" in " ".join(log.report.notes)
+def test_a_deeper_export_in_other_units_or_without_places(tmp_path):
+    """59 degrees are Fahrenheit, and then depths are feet; 0, 0 is no place."""
+    path = tmp_path / "depths.csv"
+    path.write_text("".join(f"51.0{k},13.7{k},8.2,59.0,{UNIX_MS + k}\n" for k in range(9)))
+    with pytest.raises(InputError, match="water of 59 degrees"):
+        read_deeper([path], TrackOptions())
+    path.write_text("lat,lon,depth_ft,temperature,time\n" + path.read_text())
+    assert recognise(path) != "deeper"
+    path.write_text(deeper(9) + "0.0,0.0,1.0,15.0,1722032348825\n")
+    assert len(read_deeper([path], TrackOptions()).soundings) == 9
 
 
 def test_points_are_no_deeper_export(tmp_path):

@@ -6,6 +6,7 @@ from operator import xor
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from numpy.testing import assert_allclose
 
@@ -13,7 +14,7 @@ from tests.ingest.writers import nmea
 from thalweg.core import InputError, gps_from_unix
 from thalweg.ingest import PositionLog
 from thalweg.ingest.nmea import read_nmea
-from thalweg.ingest.registry import read_depths
+from thalweg.ingest.registry import read_depths, soundings_table
 
 START = 36_000
 """10:00:00, second of the day."""
@@ -212,6 +213,85 @@ def test_heights_in_feet_are_converted(tmp_path):
     text = gga(START).strip().replace("110.000,M,45.000,M", "100.0,f,45.000,M")
     log = read(tmp_path, nmea(text[1:-3]))
     assert log.positions["h_ell_m"][0] == pytest.approx(30.48 + 45.0)
+
+
+@pytest.mark.parametrize(("apart_m", "told"), [(0.3, True), (0.0, False)])
+def test_two_frequencies_in_one_sentence_are_named(tmp_path, apart_m, told):
+    text = ""
+    for k in range(30):
+        text += gga(START + k) + rmc(START + k)
+        text += "".join(nmea(f"SDDPT,{3 + 0.02 * k + low * apart_m:.2f},0.0") for low in (0, 1))
+    assert noted(read(tmp_path, text), "DPT depths alternate by 0.3") == told
+
+
+def test_a_separation_of_0_is_named(tmp_path):
+    text = "".join(gga(START + k).replace(",45.000,M", ",0.0,M") for k in range(3))
+    body = [nmea(line[1:].partition("*")[0]) for line in text.splitlines()]
+    assert noted(read(tmp_path, "".join(body)), "3 positions have a geoid separation of 0", "35 to 50 m")
+    assert not noted(read(tmp_path, gga(START)), "separation")
+
+
+def test_places_of_few_digits_are_named(tmp_path):
+    body = f"GPGGA,{clock(START)},5103.00,N,01345.00,E,4,12,0.8,110.000,M,45.000,M,1.0,0001"
+    assert noted(read(tmp_path, nmea(body)), "steps of 18.5 m")
+    assert not noted(read(tmp_path, gga(START)), "steps of")
+
+
+def test_accuracies_of_0_are_none(tmp_path):
+    gst = [
+        nmea(f"GPGST,{clock(START + k)},0.0,0.0,0.0,0.0,{s}")
+        for k, s in enumerate(("0.0,0.0,0.0", "0.01,0.02,0.0"))
+    ]
+    log = read(tmp_path, "".join(gga(START + k) + rmc(START + k) + gst[k] for k in range(2)))
+    assert log.report.counts["accuracies_of_0"] == 2
+    assert_allclose(log.positions["sigma_north_m"], [np.nan, 0.01])
+    assert_allclose(log.positions["sigma_east_m"], [np.nan, 0.02])
+    assert log.positions["sigma_up_m"].isna().all()
+
+
+def test_latitudes_in_decimal_degrees_are_none(tmp_path):
+    body = f"GPGGA,{clock(START)},51.0503,N,13.7500,E,4,12,0.8,110.000,M,45.000,M,1.0,0001"
+    log = read(tmp_path, nmea(body))
+    assert log.report.losses["malformed_sentences"] == 1
+    assert log.positions.empty
+
+
+def sounded(folder: Path, *sentences: str, quality: int = 4, bad: int = 4) -> tuple[pd.DataFrame, str]:
+    """Soundings of 60 s with these sentences, and their notes; in the middle third the fix is ``bad``."""
+    text = ""
+    for k in range(60):
+        at = START + k
+        fix = bad if 20 <= k < 40 else quality
+        text += gga(at, quality=fix) + rmc(at) + "".join(nmea(body) for body in sentences)
+    path = folder / "boat.nmea"
+    path.write_text(text)
+    table, notes = soundings_table(path)
+    return table, " ".join(notes)
+
+
+@pytest.mark.parametrize(
+    ("sentences", "depth_m", "words"),
+    [
+        (("SDDPT,2.50,0.4", "SDDBS,9.5,f,2.90,M,1.6,F"), 2.5, "below the transducer"),
+        (("SDDBT,8.2,f,2.50,M,1.4,F", "SDDPT,2.50,0.4"), 2.5, "below the transducer"),
+        (("SDDBS,9.5,f,2.90,M,1.6,F",), 2.9, "Depths are below the water line"),
+    ],
+)
+def test_a_ping_is_one_sounding_of_a_bed(tmp_path, sentences, depth_m, words):
+    table, notes = sounded(tmp_path, *sentences)
+    assert table["depth_m"].tolist() == [depth_m] * 60
+    assert words in notes
+    assert ("60 depths that state the same pings again are left out" in notes) == (len(sentences) > 1)
+
+
+def test_soundings_lie_at_fixes(tmp_path):
+    """Without a fix a receiver repeats its last place; a simulator's are invented."""
+    table, notes = sounded(tmp_path, DEPTH, bad=0)
+    assert len(table) == 39
+    assert "20 positions without a fix are left out" in notes
+    assert "20 positions are dead reckoning" in sounded(tmp_path, DEPTH, bad=6)[1]
+    with pytest.raises(InputError, match="60 have no fix, or one of a simulator"):
+        sounded(tmp_path, DEPTH, quality=8, bad=8)
 
 
 def test_what_is_not_read_is_named(tmp_path):

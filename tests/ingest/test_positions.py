@@ -159,3 +159,29 @@ def test_depths_zones_and_waypoints_of_gpx(tmp_path):
     path.write_text(GPX.format(more=""))
     with pytest.raises(InputError, match="no depths in this recording"):
         read_depths([path])
+
+
+def gpx_track(half_s: int, depth: str = "2.5") -> str:
+    points = "".join(
+        f'<trkpt lat="51.05" lon="13.{25 + half_s}{k:02d}"><time>2024-06-12T10:00:{k:02d}.{half_s}Z</time>'
+        f"<extensions>{depth}</extensions></trkpt>"
+        for k in range(20)
+    )
+    return f"<trk><trkseg>{points}</trkseg></trk>"
+
+
+def test_tracks_of_the_same_time_are_named(tmp_path):
+    path = tmp_path / "a.gpx"
+    for others, told in (((0,), False), ((0, 5), True)):
+        path.write_text(f'<gpx version="1.1">{"".join(map(gpx_track, others))}</gpx>')
+        report = read_positions("gpx", [path], states=None, **NOTHING)[1]
+        assert any("tracks are of the same time" in note for note in report.notes) == told
+
+
+def test_a_remark_on_the_unit_of_depths_is_refused_unless_they_state_it(tmp_path):
+    path, remark = tmp_path / "a.gpx", "<metadata><desc>Depths are in feet</desc></metadata>"
+    path.write_text(f'<gpx version="1.1">{remark}{gpx_track(0, "<depth>10</depth>")}</gpx>')
+    with pytest.raises(InputError, match="beside 'Depths are in feet'"):
+        read_depths([path])
+    path.write_text(f'<gpx version="1.1">{remark}{gpx_track(0, "<depth_ft>10</depth_ft>")}</gpx>')
+    assert read_depths([path]).depths["depth_m"].tolist() == pytest.approx([3.048] * 20)

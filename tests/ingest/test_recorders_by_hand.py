@@ -106,7 +106,7 @@ def test_of_two_receivers_the_one_with_the_better_fixes_counts():
     log = {
         "GPS": pd.concat([receiver(0, [3, 3, 3]), receiver(1, [6, 6, 3])]),
         "GPA": pd.DataFrame(
-            {"t_s": [0.0, 0.0], "I": [0, 1], "HAcc": [9.0, 0.02], "VAcc": [9.0, 0.03], "Und": [40, 46.5]}
+            {"t_s": [0.0, 0.0], "I": [0, 1], "HAcc": [9.0, 0.02], "VAcc": [9.0, 0.03], "Und": [-40, -46.5]}
         ),
         "PARM": pd.DataFrame({"Name": [b"SPEED", b"GPS_DELAY_MS", b"X"], "Value": [7.0, 80.0, 9.0]}),
     }  # fmt: skip
@@ -229,7 +229,7 @@ def test_fixes_beside_an_ensemble():
 def test_an_ensemble_by_hand():
     """Of several fixes the nearest in time; bottoms beyond 655.36 m have a third byte."""
     fixed = bytearray(42)
-    fixed[5], fixed[26:28] = 2, struct.pack("<h", -150)
+    fixed[5], fixed[26:30] = 2, struct.pack("<2h", 4500, -150)
     variable = bytearray(24)
     variable[4:11] = bytes([24, 5, 17, 12, 0, 30, 50])
     variable[16:24] = struct.pack("<HHhh", 3, 9050, -120, 250)
@@ -244,8 +244,8 @@ def test_an_ensemble_by_hand():
     }  # fmt: skip
     row = _ensemble(blocks)
     expected = {
-        "beam_angle_deg": 30.0, "variation_deg": -1.5, "heading_deg": 90.5, "pitch_deg": -1.2,
-        "roll_deg": 2.5,
+        "beam_angle_deg": 30.0, "alignment_deg": 45.0, "variation_deg": -1.5,
+        "heading_deg": 90.5, "pitch_deg": -1.2, "roll_deg": 2.5,
         "transducer_m": 0.3, "vertical_m": 12.345, "sounder_m": 9.5, "beam0_m": 10.0, "beam1_m": 666.36,
         "beam2_m": 12.0, "beam3_m": 1323.72, "lat_deg": 51.0, "lag_s": 0.1,
         "rtc_unix_s": pd.Timestamp("2024-05-17T12:00:30.5Z").timestamp(),
@@ -278,7 +278,7 @@ def test_the_instruments_clock_is_set_by_the_time_of_day(ahead_s, words):
 
 
 def test_ends_of_slanted_beams_by_hand():
-    """45 degrees would be as far aside as deep; at heading 90 forward is east, and starboard south."""
+    """45 degrees would be as far aside as deep; at heading 90 forward is east, and port north."""
     table = pd.DataFrame(
         {
             "beam_angle_deg": [45.0], "heading_deg": [80.0], "variation_deg": [10.0], "pitch_deg": [0.0],
@@ -287,7 +287,7 @@ def test_ends_of_slanted_beams_by_hand():
     )  # fmt: skip
     found = _slanted(table, np.array([[10.0, 10.0, 10.0, 0.0]]), np.array([1.7e9]))
     degree = math.pi / 180 * 6_371_000.0
-    assert_allclose((found["latitude"] - 60.0) * degree, [-10.0, 10.0, 0.0], atol=1e-5)
+    assert_allclose((found["latitude"] - 60.0) * degree, [10.0, -10.0, 0.0], atol=1e-5)
     assert_allclose((found["longitude"] - 13.0) * degree / 2, [0.0, 0.0, 10.0], atol=1e-5)
     assert_allclose(found["depth_m"], 10.0)
     assert set(found["time"]) == {"2023-11-14T22:13:20.000Z"}

@@ -516,10 +516,23 @@ def test_topics_that_are_named_are_taken(bag):
     assert positions["lat_deg"].iloc[0] == pytest.approx(51.001)
 
 
+def test_attitudes_without_a_fix_are_refused(bag):
+    for k in range(4):
+        bag.imu(UNIX_S + k, LEVEL)
+        bag.fix(UNIX_S + k, k, status=-1)
+    path = bag.close()
+    for read in (describe, lambda each: read_poses([each], "ins")):
+        with pytest.raises(InputError, match="4 positions of /fix, none with a fix"):
+            read(path)
+
+
 def test_depths_without_positions_are_read(bag):
-    bag.depth("/echo", UNIX_S, 3.0)
+    """The end of its reach, 50 m, is what a driver writes that saw nothing."""
+    for k, metres in enumerate([3.0, 50.0, np.inf, 0.1, np.nan]):
+        bag.depth("/echo", UNIX_S + k, metres)
     log = read_depths([bag.close()])
-    assert (len(log.depths), len(log.positions), log.report.synchronised) == (1, 0, True)
+    assert log.depths["depth_m"].tolist() == [3.0, 0.0, 0.0, 0.0, 0.0]
+    assert (len(log.positions), log.report.synchronised) == (0, True)
 
 
 def test_mounting_of_tf_static(bag):

@@ -356,3 +356,27 @@ def test_times_of_events_are_no_part_of_the_track(tmp_path, name):
     # positions between the epochs that no line leads to are a second receiver's, and stay
     other = write(tmp_path / "second.pos", events.read_text().replace("13.000000000", "13.000000300"))
     assert len(read_pos([track, other]).positions) == 65
+
+
+@pytest.mark.parametrize(
+    ("usual", "stated", "words"),
+    [
+        ("height(m)", "height(ft)", r"height\(ft\)"),
+        (
+            "latitude(deg) longitude(deg)",
+            "longitude(deg) latitude(deg)",
+            r"columns longitude\(deg\) latitude",
+        ),
+        ("latitude(deg) longitude(deg)", "latitude(rad) longitude(rad)", r"latitude\(rad\)"),
+    ],
+)
+def test_other_units_and_orders_are_refused(tmp_path, usual, stated, words):
+    with pytest.raises(InputError, match=words):
+        read_pos([write(tmp_path / "a.pos", HEAD.replace(usual, stated) + LINE)])
+
+
+def test_other_datums_and_heights_are_told(tmp_path):
+    log = read_pos([write(tmp_path / "a.pos", HEAD.replace("WGS84/ell", "Tokyo/ell") + LINE)])
+    assert any("states the datum Tokyo" in note for note in log.report.notes)
+    log = read_pos([write(tmp_path / "b.pos", HEAD.replace("/ellipsoidal", "/orthometric") + LINE)])
+    assert log.positions["h_ell_m"].isna().all()

@@ -100,6 +100,17 @@ def test_smrmsg(tmp_path):
         read_sbet([tmp_path / "a.out"], WEEK, [write(tmp_path / "b.out", smrmsg(start_s=9000.0))])
 
 
+@pytest.mark.parametrize(
+    ("factor", "words"), [(1.0, ""), (1 / 60, "finer than any INS"), (0.0, "0 throughout")]
+)
+def test_smrmsg_of_other_units_or_zeros_is_told(tmp_path, factor, words):
+    companion = smrmsg()
+    companion[:, 7:] *= factor
+    log = read_sbet([write(tmp_path / "a.out", records())], WEEK, [write(tmp_path / "b.out", companion)])
+    assert any("smrmsg states" in note and words in note for note in log.report.notes) == bool(words)
+    assert log.states["sigma_roll_rad"].isna().all() == (factor == 0.0)
+
+
 def test_week_rollover(tmp_path):
     log = read_sbet([write(tmp_path / "a.out", records(start_s=604798.0))], WEEK)
     # float64 resolves 30 ns at this date

@@ -10,12 +10,14 @@ import numpy as np
 import pandas as pd
 import pytest
 from scipy.io import savemat
+from scipy.spatial import cKDTree
 
 from tests.ingest.writers import read_or_refused
 from thalweg.cli import main
 from thalweg.core import InputError, gps_from_unix
 from thalweg.ingest import TrackOptions
 from thalweg.ingest.recorders import read_lowrance, read_pd0, read_sontek
+from thalweg.ingest.recorders.sounders import _ensemble, _ensembles, _slanted
 from thalweg.ingest.registry import describe, read_depths, recognise, soundings_table, stream_of
 
 RADIUS_M = 6_356_752.3142
@@ -155,16 +157,17 @@ def test_an_adcp_gives_its_vertical_beam_on_gnss_time(tmp_path):
 
 
 def test_slanted_beams_hit_where_they_look(tmp_path):
-    """Heading east: beam 3 looks east, beam 1 to starboard is south, all by 4 m times tan 20 degrees."""
+    """Heading east: beam 3 looks east, beam 1 to port is north, all by 4 m times tan 20 degrees."""
     path = tmp_path / "river.PD0"
     path.write_bytes(ensemble(0, vertical_m=None, beams_m=4.0, heading_deg=90.0))
     found = soundings_table(path)
     table, away = found[0], 4.0 * math.tan(math.radians(20.0))
     north = (table["latitude"] - 51.0) * math.radians(1.0) * 6_371_000.0
     east = (table["longitude"] + 13.0) * math.radians(1.0) * 6_371_000.0 * math.cos(math.radians(51.0))
-    assert north.tolist() == pytest.approx([-away, away, 0.0, 0.0], abs=1e-6)
+    assert north.tolist() == pytest.approx([away, -away, 0.0, 0.0], abs=1e-6)
     assert east.tolist() == pytest.approx([0.0, 0.0, away, -away], abs=1e-6)
     assert table["depth_m"].tolist() == pytest.approx([4.0] * 4)
+    assert any("states no magnetic variation (EB)" in note for note in found[1])
 
 
 def test_a_lost_beam_leaves_the_others(tmp_path):
@@ -178,9 +181,18 @@ def test_a_lost_beam_leaves_the_others(tmp_path):
     assert log.soundings["depth_m"].tolist() == pytest.approx([4.0] * 7)
 
 
-def test_an_adcp_without_fixes_is_refused(tmp_path):
+def test_a_vertical_beam_of_all_ones_is_no_bottom(tmp_path):
     path = tmp_path / "river.PD0"
-    path.write_bytes(ensemble(0, vertical_m=4.0, beams_m=4.0, heading_deg=0.0, quality=0))
+    depths = [4.0, 4_294_967.295, 4.0]
+    pings = [ensemble(k, vertical_m=x, beams_m=4.0, heading_deg=0.0) for k, x in enumerate(depths)]
+    path.write_bytes(b"".join(pings))
+    assert read_pd0([path], TrackOptions()).soundings["depth_m"].tolist() == [4.0, 4.0]
+
+
+@pytest.mark.parametrize("quality", [0, 7, 8])
+def test_an_adcp_without_fixes_is_refused(tmp_path, quality):
+    path = tmp_path / "river.PD0"
+    path.write_bytes(ensemble(0, vertical_m=4.0, beams_m=4.0, heading_deg=0.0, quality=quality))
     with pytest.raises(InputError, match="1 ensembles without a position"):
         describe(path)
 
@@ -319,6 +331,22 @@ def test_a_real_adcp_is_as_mhkit_reads_it(data_dir):
         (64.561951, -149.063675), abs=2e-5
     )
     assert any("1.7" in note and "behind GNSS" in note for note in log.report.notes)
+
+
+@pytest.mark.real
+def test_slanted_beams_of_a_real_adcp_meet_its_vertical_one(data_dir):
+    """Beams 1 and 2 exchanged, the bed at their ends would be 0.7 m off that below the boat (rms)."""
+    raw = (data_dir / "today/trdi_riverpro_tanana/RiverPro_test01.PD0").read_bytes()
+    table = pd.DataFrame([_ensemble(blocks) for _, blocks in _ensembles(raw)]).dropna(subset="lat_deg")
+    seen = table[table["vertical_m"] > 0]
+    ends = _slanted(table, table[[f"beam{k}_m" for k in range(4)]].to_numpy(), np.zeros(len(table)))
+    scale = np.array([1.0, math.cos(math.radians(table["lat_deg"].mean()))]) * 111_195.0
+    away, nearest = cKDTree(seen[["lat_deg", "lon_deg"]] * scale).query(
+        ends[["latitude", "longitude"]] * scale
+    )
+    off = (ends["depth_m"].to_numpy() - seen["vertical_m"].to_numpy()[nearest])[away < 1.5]
+    assert len(off) > 700
+    assert np.std(off) < 0.3
 
 
 def test_damaged_logs_are_read_or_refused(tmp_path, fuzz):

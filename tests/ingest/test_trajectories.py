@@ -305,3 +305,78 @@ def test_inertial_explorer_with_a_time_of_the_day(tmp_path):
     )
     with pytest.raises(InputError, match="times of the day without a date"):
         read_poses([path], "sbet", stated)
+
+
+@pytest.mark.parametrize(
+    ("usual", "stated", "words"),
+    [
+        ("(sec)", "(UTC)", r"times in 'UTC'"),
+        ("(m/s)  (m/s) (m/s)", "(mph)  (mph) (mph)", "unit 'mph'"),
+        ("      (m)  ", "     (mm)  ", "unit 'mm' of H-Ell"),
+    ],
+)
+def test_inertial_explorer_in_other_units_is_refused(tmp_path, usual, stated, words):
+    with pytest.raises(InputError, match=words):
+        read_poses([export(tmp_path / "a.txt", header=HEADER.replace(usual, stated))], "sbet", TrackOptions())
+
+
+@pytest.mark.parametrize(
+    ("line", "quoted"),
+    [
+        ("Datum:       NAD83(2011)", True),
+        ("Datum:       WGS84, (processing datum)", False),
+        ("Time:        UTC seconds of the week", True),
+        ("UTC Offset:  18 s", False),
+        ("Standard deviations: 95 %", True),
+    ],
+)
+def test_headers_of_inertial_explorer_are_quoted(tmp_path, line, quoted):
+    header = HEADER.replace("Project:     Elbe", line)
+    log = read_poses([export(tmp_path / "a.txt", header=header)], "sbet", TrackOptions())
+    assert any(line in note for note in log.report.notes) == quoted
+
+
+def test_yaw_and_zeros_of_inertial_explorer_are_told(tmp_path):
+    path = export(tmp_path / "a.txt", header=HEADER.replace("Heading", "    Yaw"))
+    path.write_text(path.read_text().replace("0.01 0.02 0.03", "0.00 0.00 0.00"))
+    log = read_poses([path], "sbet", TrackOptions())
+    assert log.states["sigma_east_m"].isna().all()
+    notes = " ".join(log.report.notes)
+    assert "own yaw counts counterclockwise" in notes
+    assert "no standard deviations of positions" in notes
+
+
+@pytest.mark.parametrize(
+    ("head", "place", "words"),
+    [
+        ("# time lat lon alt qx qy qz qw", "51.05 13.75 150", "latitudes and longitudes"),
+        ("# time p_SR_R_x p_SR_R_y p_SR_R_z q_SR_x q_SR_y q_SR_z q_SR_w", "1 2 3", "world in the body"),
+        ("# time x y z qx qy qz qw", "412000 5656000 155", "5,656 km from the origin"),
+    ],
+)
+def test_places_and_poses_of_other_kinds_are_refused(tmp_path, head, place, words):
+    path = tmp_path / "poses.txt"
+    rotation = " ".join(map(str, UPRIGHT))
+    path.write_text("\n".join([head, *(f"{T0 + k} {place} {rotation}" for k in range(4))]) + "\n")
+    with pytest.raises(InputError, match=words):
+        read_poses([path], "ins", TrackOptions(**STATED, body_axes="forward-left-up"))
+
+
+@pytest.mark.parametrize(
+    ("remark", "quoted"), [("# T_body_world", True), ("# frame odom", True), ("# t_x t_y", False)]
+)
+def test_remarks_on_frames_are_quoted(tmp_path, remark, quoted):
+    path = tmp_path / "poses.txt"
+    rotation = " ".join(map(str, UPRIGHT))
+    path.write_text("\n".join([remark, *(f"{T0 + k} 1 2 3 {rotation}" for k in range(4))]) + "\n")
+    assert any(remark in note for note in describe(path).notes) == quoted
+
+
+def test_a_world_of_a_camera_is_refused(tmp_path):
+    """Odometry of KITTI: z forward, y down; a boat that starts unturned would stand on its stern."""
+    path, times = tmp_path / "poses.txt", tmp_path / "times.txt"
+    path.write_text("".join(f"1 0 0 0 0 1 0 0 0 0 1 {k}\n" for k in range(4)))
+    times.write_text("".join(f"{T0 + k}\n" for k in range(4)))
+    options = TrackOptions(**STATED, body_axes="right-down-forward", times=times)
+    with pytest.raises(InputError, match="bow points up or down by 90 deg"):
+        read_poses([path], None, options)

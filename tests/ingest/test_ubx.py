@@ -207,6 +207,51 @@ def test_fine_places_alone_are_single_solutions(tmp_path):
     assert log.report.counts["positions_without_fix"] == 1
 
 
+def of_nav(name: str, k: int, **fields: object) -> bytes:
+    return at_time(UBXMessage("NAV", name, GET, **fields), k, 6)
+
+
+@pytest.mark.parametrize(("name", "ok"), [("NAV-SOL", "gpsfixOK"), ("NAV-STATUS", "gpsFixOk")])
+def test_of_old_receivers_another_message_tells_what_is_a_fix(tmp_path, name, ok):
+    """Before the first fix NAV-POSLLH holds the last known place; a week that is not set is none."""
+    parts = []
+    for k in range(6):
+        place = {"lat": 51.0 if k > 2 else 47.0, "lon": 13.0, "height": 146_500, "hAcc": 20, "vAcc": 30}
+        parts += [
+            of_nav("NAV-POSLLH", k, **place),
+            of_nav(name, k, gpsFix=3 * (k > 1), **{ok: int(k > 2)}),
+            of_nav("NAV-TIMEGPS", k, week=WEEK if k > 2 else 1023, weekValid=int(k > 2), towValid=1),
+        ]
+    log = read_ubx([log_of(tmp_path, *parts)], TrackOptions())
+    assert log.positions["lat_deg"].tolist() == pytest.approx([51.0] * 3)
+    assert log.report.counts["positions_without_fix"] == 3
+    assert not log.report.notes
+    only = read_ubx([log_of(tmp_path, *parts[::3], *parts[2::3])], TrackOptions())
+    assert only.positions["t_gps_s"].tolist() == [float(gps_from_week(WEEK, FIRST_S + k)) for k in range(6)]
+    assert any("which positions are fixes" in note for note in only.report.notes)
+
+
+def test_a_place_that_is_marked_invalid_is_none(tmp_path):
+    log = read_ubx([log_of(tmp_path, pvt(0, invalidLlh=1, lat=47.0), pvt(1))], TrackOptions())
+    assert log.positions["lat_deg"].tolist() == pytest.approx([51.000001])
+
+
+def test_depths_between_have_the_date_and_say_what_their_sentences_do(tmp_path):
+    """GGA has no date, NAV-PVT has; what the reader of NMEA notes of the depths stands in the report."""
+    parts = []
+    for k in range(4):
+        clock = f"{UTC + dt.timedelta(seconds=k):%H%M%S}.00"
+        gga = nmea(f"GPGGA,{clock},5100.0000,N,01300.0000,E,4,21,0.6,100.0,M,46.5,M,1.0,0001")
+        parts += [pvt(k), gga.encode(), nmea(f"SDDPT,{2.5 * (k > 0)},-0.5").encode()]
+    log = read_ubx([log_of(tmp_path, *parts)], TrackOptions())
+    assert log.depths["t_gps_s"].tolist() == log.positions["t_gps_s"].tolist()
+    assert (log.report.counts["depths"], log.report.counts["no_bottom"]) == (3, 1)
+    assert log.report.details["DPT offsets"] == "-0.5 m"
+    assert any("the instrument saw no bottom" in note for note in log.report.notes)
+    untimed = read_ubx([log_of(tmp_path, *parts[::3], *parts[2::3])], TrackOptions())
+    assert any("no time sentence" in note for note in untimed.report.notes)
+
+
 def test_a_log_without_raw_observations_is_no_rover(tmp_path):
     path = log_of(tmp_path, *(pvt(k) for k in range(3)))
     base = tmp_path / "base.ubx"

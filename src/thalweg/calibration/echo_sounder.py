@@ -28,17 +28,9 @@ from scipy.ndimage import minimum_filter1d
 from scipy.spatial import Delaunay, cKDTree
 
 from thalweg.calibration.ins_lidar import BorderedNormals, Knots, PoseErrors, RunPoints, pose_rows
-from thalweg.core import (
-    NMAD,
-    ArrayB,
-    ArrayF,
-    CoverageError,
-    GeometryError,
-    InputError,
-    Trajectory,
-    root_mean_square,
-)
+from thalweg.core import NMAD, ArrayB, ArrayF, CoverageError, GeometryError, Trajectory, root_mean_square
 from thalweg.core.calibration import Calibration, Source, lever_block
+from thalweg.ingest import pings_of as pings_of
 from thalweg.settings.sections import EchoSounderFit
 
 PARAMETERS: Final = ("x", "y", "z", "lag")
@@ -49,8 +41,6 @@ _FLAT: Final = 0.03
 _MAX_STEPS: Final = 20
 _FEWEST: Final = 10
 
-SENTENCES: Final = ("DPT", "DBT", "ANPP53", "DBS")
-"""Sentences that state the depth below the transducer, best first: one ping often gives several."""
 SMALLEST_RULER_M: Final = 1e-4
 """Sigma of a ruler that claims to have none."""
 MISFIT: Final = 3.0
@@ -404,22 +394,6 @@ def places_of(trajectory: Trajectory, t_gps_s: ArrayF, depth_m: ArrayF, lever_ic
     position, R, valid = trajectory.at(t_gps_s)
     down = np.column_stack([np.zeros((len(depth_m), 2)), depth_m])
     return np.asarray((position + np.einsum("nij,nj->ni", R, lever_ics_m + down))[valid, :2])
-
-
-def pings_of(depths: pd.DataFrame) -> tuple[pd.DataFrame, int]:
-    """The rows of the sentence that states depths best, one a ping, and how many rows state them again.
-
-    Raises
-    ------
-    InputError : the table is empty.
-    """
-    if not len(depths):
-        raise InputError("no soundings", expected="a log of the echo sounder with depths")
-    present = depths["sentence"].value_counts()
-    # the best sentence that comes about as often as any other
-    often = [name for name in SENTENCES if present.get(name, 0) >= 0.9 * present.max()]
-    chosen = depths[depths["sentence"] == (often[0] if often else present.index[0])]
-    return chosen, len(depths) - len(chosen)
 
 
 def soundings(depths: pd.DataFrame, trajectory: Trajectory) -> tuple[ArrayF, ArrayF, dict[str, int]]:

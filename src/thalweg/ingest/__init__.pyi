@@ -21,6 +21,7 @@ from .readers import (
     PositionReader as PositionReader,
     TrackOptions as TrackOptions,
     empty_points as empty_points,
+    pings_of as pings_of,
     read_head as read_head,
 )
 from .recordings import (

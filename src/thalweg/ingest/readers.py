@@ -323,6 +323,30 @@ class PoseLog(PositionLog):
     states: pd.DataFrame
 
 
+_BEST: Final = ("DPT", "DBT", "ANPP53", "DBS")
+"""Sentences that state depths, best first: one ping often gives several."""
+
+
+def pings_of(depths: pd.DataFrame) -> tuple[pd.DataFrame, int]:
+    """The rows of the sentence that states depths best, one a ping, and how many rows state them again.
+
+    Parameters
+    ----------
+    depths : table kind ``depth``.
+
+    Raises
+    ------
+    InputError : the table is empty.
+    """
+    if not len(depths):
+        raise InputError("no soundings", expected="a log of the echo sounder with depths")
+    present = depths["sentence"].value_counts()
+    # the best sentence that comes about as often as any other
+    often = [name for name in _BEST if present.get(name, 0) >= 0.9 * present.max()]
+    chosen = depths[depths["sentence"] == (often[0] if often else present.index[0])]
+    return chosen, len(depths) - len(chosen)
+
+
 class PositionReader(Protocol):
     """Positions of an antenna from the files of one recording in the order of time."""
 

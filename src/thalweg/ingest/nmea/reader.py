@@ -214,12 +214,16 @@ _FIELDS: Final = {
 """Sentences that are read, with names for their fields in the order of NMEA 0183."""
 _NUMBERS: Final = (
     *("line", "file", "t_host_s", "second", "decimals", "day", "void"),
-    *("lat_deg", "lon_deg", "h_ell_m", "n_sats", "age_s", "step_m", *_SIGMAS),
+    *("lat_deg", "lon_deg", "h_ell_m", "n_sats", "age_s", "geoid_m", "step_m", *_SIGMAS),
     *("depth_m", "offset_m", "water_temperature_c", "pitch_deg", "roll_deg"),
 )
 """Columns of the table of sentences besides talker, kind and fix."""
 _PLACE: Final = {name: k for k, name in enumerate(_NUMBERS)}
 _UNKNOWN: Final = array("d", [_NAN] * len(_NUMBERS))
+_ALTERNATING, _ALTERNATING_M = 5.0, 0.05
+"""How much more depths differ from their neighbour than from the one behind it if two sounders take turns."""
+_COARSE_M: Final = 1.0
+"""Last digit of a latitude above which a track has the steps of its own log."""
 _RANK: Final = {"GGA": 0, "GNS": 0, "RMC": 1, "GLL": 2}
 """Sentences of positions; of the same time the one that says most is taken."""
 _UNREAD: Final[Mapping[str, str]] = {
@@ -307,6 +311,9 @@ def _take(
             row["day"] = day
     if kind == "GST":
         row |= {name: number(f[name]) for name in _SIGMAS}
+        if 0.0 in (row["sigma_north_m"], row["sigma_east_m"], row["sigma_up_m"]):
+            report.count("accuracies_of_0")  # of a receiver that knows none
+            row |= {name: row[name] or _NAN for name in _SIGMAS if name != "axis_deg"}
     elif f["lat"] and f["lon"]:
         if kind == "GGA":
             fix = FIX_OF_QUALITY.get(f["quality"], "none")
@@ -320,6 +327,7 @@ def _take(
             "fix": fix,
             "n_sats": int(number(f["n_sats"] or "-1")),
             "age_s": number(f["age"]),
+            "geoid_m": number(f["geoid"]),
             "step_m": 1852.0 * 10.0 ** -decimals(f["lat"]),
         }
     elif kind in _RANK:
@@ -362,12 +370,16 @@ def days_of_date(day: int, month: int, year: int) -> int:
 def degrees(text: str, side: str, sides: str) -> float:
     """Degrees from (d)ddmm.mmmm and one of the two ``sides``, N and S or E and W.
 
+    A latitude of two digits before the point is in degrees and decimals, as no receiver writes it.
+
     Raises
     ------
     ValueError : not such an angle, or out of range.
     """
     whole, minutes = divmod(float(text), 100)
     angle = whole + minutes / 60
+    if sides == "NS" and len(text.partition(".")[0]) < 3:
+        raise ValueError(text)
     if side not in tuple(sides) or not (0 <= angle <= (90 if sides == "NS" else 180) and minutes < 60):
         raise ValueError(text)
     return -angle if side == sides[1] else angle
@@ -805,6 +817,13 @@ def _positions(table: pd.DataFrame, report: IntegrityReport) -> pd.DataFrame:
         report.note(
             f"{bare.sum()} {kinds} sentences have no geoid separation: no ellipsoidal height can be given."
         )
+    if flat := int((kept["geoid_m"] == 0.0).sum()):
+        report.note(
+            f"{flat:,} positions have a geoid separation of 0: their heights are taken as ellipsoidal. A "
+            "receiver without a geoid model writes 0 beside heights above the sea, in Europe 35 to 50 m less."
+        )
+    if (step_m := _median(kept["step_m"], 0.0)) > _COARSE_M:
+        report.note(f"Positions are written in steps of {step_m:.1f} m (decimals of the minute).")
     report.count_some("positions_without_fix", (kept["fix"] == "none").sum())
     columns = ["t_gps_s", "lat_deg", "lon_deg", "h_ell_m", "fix", "n_sats", "age_s", "file"]
     unknown = dict.fromkeys(("cov_eu_m2", "cov_nu_m2", "ratio"), np.nan)
@@ -816,6 +835,13 @@ def _depths(table: pd.DataFrame, report: IntegrityReport) -> pd.DataFrame:
     depths = table[table["depth_m"].notna()]
     kept = [_one_talker(part, report) for _, part in depths.groupby("kind", sort=False)]
     depths = pd.concat(kept).sort_index() if kept else depths
+    for kind, own in depths[depths["depth_m"] > 0].groupby("kind")["depth_m"]:
+        step_m = _median(own.diff().abs().dropna())
+        if step_m > max(_ALTERNATING_M, _ALTERNATING * _median(own.diff(2).abs().dropna(), np.inf)):
+            report.note(
+                f"{kind} depths alternate by {step_m:.2f} m: two frequencies or sounders in one sentence? "
+                "Both are taken; split the log to take one."
+            )
     depths = depths[["talker", "kind", "line", "file", "t_host_s", "depth_m", "offset_m", "base"]]
     of_base = table[["second", "t_gps_s"]].reindex(depths["base"])
     return depths.assign(

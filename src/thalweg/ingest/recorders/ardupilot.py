@@ -7,8 +7,9 @@ is the parameter ``GPS_DELAY_MS`` or, where that is 0, the `USUAL_LAG_S` of Ardu
 
 Attitude and position are those of the filter (ATT, POS), their standard deviations from its covariance
 (XKV1: quaternion, velocity, position; XKF4.errRP: tilt). Depths are WATER_DEPTH and DPTH, else those of
-rangefinders that look down. Heights are above mean sea level; only a stated undulation (GPA.Und,
-GPS_RAW_INT.alt_ellipsoid) makes them ellipsoidal.
+rangefinders that look down. Heights are above mean sea level; only a stated undulation makes them
+ellipsoidal: GPA.Und, which is that of the ellipsoid above the sea (negative in Europe), or
+GPS_RAW_INT.alt_ellipsoid.
 Source: ArduPilot, "Onboard Message Log Messages"; MAVLink common and ardupilotmega message sets.
 """
 
@@ -42,6 +43,8 @@ Messages = Mapping[str, pd.DataFrame]
 USUAL_LAG_S: Final = 0.12
 """Lag of u-blox M8 and F9 receivers that ArduPilot presumes (AP_GPS_UBLOX::get_lag)."""
 _JUMP_S: Final = 0.9
+_DATED_S: Final = 1e9
+"""No autopilot runs so long: later times count from 1970."""
 DOWN: Final = 25
 """Orientation of a rangefinder that looks down (MAV_SENSOR_ROTATION_PITCH_270)."""
 _FIX: Final = {2: "2d", 3: "single", 4: "dgnss", 5: "float", 6: "fixed", 7: "fixed", 8: "ppp"}
@@ -153,7 +156,7 @@ def _read(path: Path, report: IntegrityReport) -> tuple[pd.DataFrame, pd.DataFra
     depths = frame_of(DEPTH, {**depths, "t_gps_s": depths["t_s"] + gps_minus_boot_s}, unknown=np.nan)
     pictures = messages.get("CAM", messages.get("CAMERA_FEEDBACK", _NONE))["t_s"].to_numpy(np.float64)
     triggers = pictures + gps_minus_boot_s
-    dated = pictures > 1e9  # feedback of telemetry is in Unix time, where the autopilot knew it
+    dated = pictures > _DATED_S  # feedback of telemetry is in Unix time, where the autopilot knew it
     triggers[dated] = gps_from_unix(pictures[dated])
     return states, frame_of(GNSS_POSITION, dict(fixes), unknown=np.nan), depths, triggers
 
@@ -333,6 +336,10 @@ def _dataflash_fixes(log: Messages, report: IntegrityReport) -> tuple[pd.DataFra
         )
     quality = _main(log.get("GPA", _NONE), "I", chosen)
     near = _joined(gps[["t_s"]], quality)
+    # drivers that know no undulation or accuracy leave 0
+    near = near.assign(
+        **{name: near[name].where(near[name] != 0) for name in ("Und", "VAcc") if name in near}
+    )
     alt = gps["Alt"].astype(float)
     return (
         _fixes(
@@ -343,7 +350,7 @@ def _dataflash_fixes(log: Messages, report: IntegrityReport) -> tuple[pd.DataFra
                 "lat_deg": gps["Lat"],
                 "lon_deg": gps["Lng"],
                 "alt_m": alt,
-                "h_ell_m": alt + near["Und"].to_numpy() if "Und" in near else np.nan,
+                "h_ell_m": alt - near["Und"].to_numpy() if "Und" in near else np.nan,
                 "status": gps["Status"],
                 "n_sats": gps["NSats"],
                 "horizontal_m": near["HAcc"].to_numpy() if "HAcc" in near else np.nan,
@@ -441,6 +448,11 @@ def _of_telemetry(
         when = " .. ".join(f"{pd.Timestamp(t, unit='s'):%Y-%m-%d %H:%M:%S}" for t in host)
         report.note(f"The ground station received it {when} by its own clock (UTC, if that clock was right).")
     raw = log.get("GPS_RAW_INT", _NONE)
+    # it counts from the start or, as MAVLink permits too, from 1970
+    dated = raw["t_s"] > _DATED_S
+    raw = raw.assign(t_s=raw["t_s"].mask(dated, gps_from_unix(raw["t_s"].where(dated)) - offset_s))
+    report.lose("fixes_on_another_clock", raw["t_s"].isna().sum())
+    raw = raw[raw["t_s"].notna()]
     fixes = _fixes(raw, {})
     if len(raw):
         alt, ellipsoidal = raw["alt"] * 1e-3, raw.get("alt_ellipsoid", pd.Series(0, index=raw.index)) * 1e-3
@@ -489,7 +501,8 @@ def _of_telemetry(
     elif "DISTANCE_SENSOR" in log:
         pings = log["DISTANCE_SENSOR"].query("orientation == @DOWN").assign(sentence="DISTANCE_SENSOR")
         farthest = pings["max_distance"].where(pings["max_distance"] > 0, math.inf)
-        seen = (pings["current_distance"] >= pings["min_distance"]) & (pings["current_distance"] <= farthest)
+        # at its end the sensor saw nothing nearer
+        seen = (pings["current_distance"] >= pings["min_distance"]) & (pings["current_distance"] < farthest)
         if "signal_quality" in pings:
             seen &= pings["signal_quality"] != _NO_SIGNAL
         pings["depth_m"] = (pings["current_distance"] * 1e-2).where(seen, 0.0)

@@ -871,7 +871,8 @@ def _fixes(path: Path, topic: str, report: IntegrityReport) -> pd.DataFrame:
 
 def _depths(path: Path, topic: str, report: IntegrityReport) -> pd.DataFrame:
     rows = [
-        (stamp_s, each.range if each.min_range <= each.range <= (each.max_range or math.inf) else 0.0)
+        # drivers older than REP 117 write the end of the reach where they saw nothing
+        (stamp_s, each.range if each.min_range <= each.range < (each.max_range or math.inf) else 0.0)
         for stamp_s, _, each in _messages(path, topic, report)
     ]
     stamp_s, depth = np.array(rows, np.float64).reshape(-1, 2).T
@@ -897,6 +898,14 @@ def read_bag_poses(files: Sequence[Path], options: TrackOptions) -> PoseLog:
     report = IntegrityReport.of("ins", "ROS Imu and NavSatFix", files, time_scale="host")
     parts = list(zip(files, chosen, strict=True))
     positions = pd.concat([_fixes(path, fix, report) for path, (_, fix) in parts], ignore_index=True)
+    if positions.empty:
+        n = report.counts.get("positions_without_fix", 0)
+        raise InputError(
+            f"{n:,} positions of {', '.join(dict.fromkeys(fix for _, (_, fix) in parts))}, none with a fix",
+            expected="positions beside the attitudes (NavSatFix with a status of 0 and above)",
+            where=report.files[0],
+            cure="Record with the sky in sight, or name the topic of another receiver",
+        )
     states = pd.concat(
         [_attitudes(path, imu, report, options.body_axes) for path, (imu, _) in parts], ignore_index=True
     )

@@ -54,11 +54,12 @@ _SET_UNIX_S: Final = (946_684_800, 4_000_000_000)
 
 _DEGREE_M: Final = math.pi / 180.0 * 6_371_000.0
 """A degree of latitude; beams end some metres away, where no better is needed."""
-_NO_FIX: Final = 0
+_NO_FIX: Final = (0, 7, 8)
+"""Qualities of GGA: none, typed in by hand, a simulator's."""
 _FIX: Final = {1: "single", 2: "dgnss", 3: "single", 4: "fixed", 5: "float", 6: "dead_reckoning"}
 _BEAM_ANGLE_DEG: Final = {0: 15.0, 1: 20.0, 2: 30.0}
-_BEAM_AZIMUTH_DEG: Final = np.array([90.0, -90.0, 0.0, 180.0])
-"""Janus configuration: beams 1 and 2 to starboard and port, 3 and 4 forward and aft."""
+_BEAM_AZIMUTH_DEG: Final = np.array([-90.0, 90.0, 0.0, 180.0])
+"""Janus configuration that looks down: beams 1 and 2 to port and starboard, 3 and 4 forward and aft."""
 
 
 def is_lowrance(head: bytes, size: int) -> bool:
@@ -155,6 +156,7 @@ def _frames(path: Path, report: IntegrityReport) -> pd.DataFrame:
 # ---------------------------------------------------------------- Deeper
 
 
+_WARMEST_C: Final = 45.0
 _NUMBER: Final = rb"-?\d+(?:\.\d+)?"
 _DEEPER: Final = re.compile(
     rb"-?\d{1,2}\.\d+,-?\d{1,3}\.\d+," + _NUMBER + rb"," + _NUMBER + rb",[12]\d{12}\r?"
@@ -187,7 +189,7 @@ def read_deeper(files: Sequence[Path], options: TrackOptions) -> PositionLog:
         whole = [line for line in rows if _DEEPER.fullmatch(line)]
         report.lose("bad_lines", len(rows) - len(whole))
         parts.append(np.array([line.split(b",") for line in whole], np.float64).reshape(-1, 5))
-    lat, lon, depth, _, ms = np.concatenate(parts).T
+    lat, lon, depth, temperature, ms = np.concatenate(parts).T
     if not len(lat):
         raise InputError(
             "no row of five numbers",
@@ -196,10 +198,18 @@ def read_deeper(files: Sequence[Path], options: TrackOptions) -> PositionLog:
             cure="Export it again",
         )
     report.count("pings", len(lat))
-    report.note("Depths are below the transducer; temperatures are not read.")
+    if (warm := float(np.median(temperature))) > _WARMEST_C:
+        raise InputError(
+            f"water of {warm:.0f} degrees (median)",
+            expected="degrees Celsius and metres",
+            where=files[0],
+            cure="If they are Fahrenheit, and depths feet, export in metric units, or put names above: "
+            "lat,lon,depth_ft,temperature,time",
+        )
+    report.note("Depths are metres below the transducer; temperatures are not read.")
     place = {"lat_deg": lat, "lon_deg": lon}
     depth = np.where(depth < _DEEPEST_FT * FOOT_M, depth, 0.0)
-    on_earth = (np.abs(lat) <= 90.0) & (np.abs(lon) <= 180.0)
+    on_earth = (np.abs(lat) <= 90.0) & (np.abs(lon) <= 180.0) & ((lat != 0.0) | (lon != 0.0))
     return _log(report, gps_from_unix(ms * 1e-3), place, on_earth, depth, "Deeper")
 
 
@@ -270,6 +280,13 @@ def read_pd0(files: Sequence[Path], options: TrackOptions) -> PositionLog:
     else:
         log = _log(report, gps_from_unix(t_unix_s), place, known, mean, "PD0 slanted beams")
         report.note("No vertical beam: each slanted beam is a sounding where it hits, by the compass.")
+        if not table["variation_deg"].any():
+            report.note("The log states no magnetic variation (EB): beams are turned by the compass alone.")
+        if (apart_deg := table["alignment_deg"].median()) != 0:
+            report.note(
+                f"The log states beam 3 {apart_deg:+.2f} deg from the bow (EA): not applied, as the "
+                "instrument's own compass is that of beam 3."
+            )
         beams = table[[f"beam{k}_m" for k in range(4)]].to_numpy(np.float64)
         log.soundings = _slanted(table[known], beams[known], t_unix_s[known])
     return _with_fixes(log, table)
@@ -318,7 +335,8 @@ def _ensemble(blocks: dict[int, list[bytes]]) -> dict[str, float]:
 
     row = {
         "beam_angle_deg": _BEAM_ANGLE_DEG.get(int(number(_FIXED, 5, "u1")) & 3, 20.0),
-        "variation_deg": number(_FIXED, 26, "<i2") * 0.01,
+        "alignment_deg": number(_FIXED, 26, "<i2") * 0.01,
+        "variation_deg": number(_FIXED, 28, "<i2") * 0.01,
         "heading_deg": number(_VARIABLE, 18, "<u2") * 0.01,
         "pitch_deg": number(_VARIABLE, 20, "<i2") * 0.01,
         "roll_deg": number(_VARIABLE, 22, "<i2") * 0.01,
@@ -360,7 +378,7 @@ def _gga(data: bytes) -> dict[str, float]:
         return none
     lat, lon = np.frombuffer(data, "<f8", 1, 31)[0], np.frombuffer(data, "<f8", 1, 40)[0]
     south, west = data[39:40] == b"S", data[48:49] == b"W"
-    if data[49] == _NO_FIX or not (abs(lat) <= 90 and abs(lon) <= 180 and (lat or lon)):
+    if data[49] in _NO_FIX or not (abs(lat) <= 90 and abs(lon) <= 180 and (lat or lon)):
         return none
     return {
         "lat_deg": -float(lat) if south else float(lat),
@@ -515,7 +533,12 @@ def _transect(path: Path, report: IntegrityReport) -> pd.DataFrame:
     table["draught_m"] = 0.0 if draught is None else float(draught) * metres("Setup", "sensorDepth")
     clock = table.pop("utc")
     table["day_s"] = clock // 10_000 * 3600 + clock // 100 % 100 * 60 + clock % 100
-    fixed = (table["quality"] > 0) & (table["lat_deg"].abs() <= 90) & (table["lon_deg"].abs() <= 180)
+    fixed = (
+        ~table["quality"].isin(_NO_FIX)
+        & (table["quality"] > 0)
+        & (table["lat_deg"].abs() <= 90)
+        & (table["lon_deg"].abs() <= 180)
+    )
     fixed &= (table["lat_deg"] != 0) | (table["lon_deg"] != 0)
     table.loc[~fixed, ["lat_deg", "lon_deg", "day_s"]] = np.nan
     return table
@@ -533,6 +556,7 @@ def _log(
 ) -> PositionLog:
     """Positions, depths, and soundings of pings that have a place and a bottom."""
     depth = np.maximum(np.asarray(depth_m, np.float64), 0.0)  # below 0 stands for none as well
+    depth = np.where(depth < _DEEPEST_FT * FOOT_M, depth, 0.0)
     places = pd.DataFrame(place)
     track = frame_of(
         GNSS_POSITION, {**places, "t_gps_s": t_gps_s, "fix": "single", "n_sats": -1}, unknown=np.nan

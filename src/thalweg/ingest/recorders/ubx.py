@@ -1,14 +1,16 @@
 """u-blox receivers: UBX logs, alone or mixed with NMEA and RTCM, read by ``pyubx2`` (extra ``ubx``).
 
 Positions are those of NAV-PVT, finer by NAV-HPPOSLLH and with the covariances of NAV-COV where these are
-logged; receivers before the M8 log NAV-POSLLH. Stamps are GPS time of the week; the week is that of NAV-PVT's
-date, of NAV-TIMEGPS, NAV-SOL or the raw observations. Raw observations (RXM-RAWX) go through RTKLIB.
+logged; receivers before the M8 log NAV-POSLLH, whose fix NAV-SOL or NAV-STATUS tells. Stamps are GPS time of
+the week; the week is that of NAV-PVT's date, of NAV-TIMEGPS, NAV-SOL or the raw observations. Raw
+observations (RXM-RAWX) go through RTKLIB.
 
 hAcc is radial: in logs that hold both, its square is posCovNN + posCovEE, and that of vAcc is posCovDD
 (NEO-M9N, ZED-F9P and ZED-X20P in the test files of pyubx2).
 Source: u-blox F9 HPG 1.32 Interface Description, UBX-22008968.
 """
 
+import datetime as dt
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -17,7 +19,16 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from thalweg.core import WEEK_S, AnyArray, InputError, frame_of, gps_from_unix, gps_from_week, missing_package
+from thalweg.core import (
+    WEEK_S,
+    AnyArray,
+    InputError,
+    frame_of,
+    gps_from_unix,
+    gps_from_week,
+    missing_package,
+    utc_text_from_gps,
+)
 from thalweg.ingest import GNSS_POSITION, IntegrityReport, PositionLog, TrackOptions
 from thalweg.ingest.nmea import read_nmea
 
@@ -29,12 +40,16 @@ _POSITIONS: Final = (
     "NAV-COV",
     "NAV-TIMEGPS",
     "NAV-SOL",
+    "NAV-STATUS",
     "NAV-RELPOSNED",
 )
 _FIX_TYPE: Final = {0: "none", 1: "dead_reckoning", 2: "single", 3: "single", 4: "single", 5: "none"}
 _CARRIER: Final = {1: "float", 2: "fixed"}
 _AFTER_VERSION: Final = ("NAV-HPPOSLLH", "NAV-RELPOSNED")
 """Messages whose time of week stands behind four other bytes."""
+_FIX_OK: Final = {"NAV-SOL": "gpsfixOK", "NAV-STATUS": "gpsFixOk"}
+"""Messages that say of the position of their epoch whether it is a fix, and their field for it."""
+_WEEK_OK: Final = {"NAV-TIMEGPS": "weekValid", "NAV-SOL": "wknSet"}
 
 
 def ubx_share(head: bytes, size: int) -> float:
@@ -134,8 +149,16 @@ def read_ubx(files: Sequence[Path], options: TrackOptions) -> PositionLog:
     positions = pd.concat(parts, ignore_index=True)
     log = PositionLog(report=report, positions=positions)
     if report.counts.get("bytes_of_NMEA"):
-        beside = read_nmea(files, date=options.date)
+        t = positions["t_gps_s"].dropna()
+        day = utc_text_from_gps(float(t.iloc[0]))[:10] if len(t) else ""
+        beside = read_nmea(files, date=options.date or (dt.date.fromisoformat(day) if day else None))
         log.depths = beside.depths
+        if len(log.depths):
+            for sentence in beside.report.notes:
+                report.note(sentence)
+            report.details |= {k: v for k, v in beside.report.details.items() if k == "DPT offsets"}
+            for what in ("depths", "no_bottom"):
+                report.count_some(what, beside.report.counts.get(what, 0))
         if positions.empty and len(beside.positions):
             log.positions = beside.positions
             report.note("Positions are those of its NMEA sentences: no NAV message with one is logged.")
@@ -176,12 +199,20 @@ def _positions(tables: dict[str, pd.DataFrame], report: IntegrityReport, path: P
     if main == "NAV-PVT":
         fix = table["carrSoln"].map(_CARRIER)
         plain = table["fixType"].map(_FIX_TYPE).where(table["gnssFixOk"] == 1, "none")
+        plain = plain.where(table["invalidLlh"] == 0, "none")
         plain = plain.where((plain != "single") | (table["diffSoln"] == 0), "dgnss")
         fix = fix.where((plain != "none") & fix.notna(), plain)
     else:
         fix = pd.Series("single", index=table.index)
         if main == "NAV-HPPOSLLH":
             fix = fix.where(table["invalidLlh"] == 0, "none")
+        name = next((name for name in _FIX_OK if name in tables), "")
+        if name:
+            told = tables[name].drop_duplicates("tow_s").set_index("tow_s")
+            kind = told["gpsFix"].map(_FIX_TYPE).where(told[_FIX_OK[name]] == 1, "none").reindex(fix.index)
+            fix = fix.where((fix == "none") | kind.isna(), kind)
+        elif main == "NAV-POSLLH":
+            report.note("No NAV-SOL or NAV-STATUS says which positions are fixes: all count as such.")
     radial = table["hAcc"].astype(float) * 1e-3 / np.sqrt(2.0)
     values = {
         "t_gps_s": _t_gps_s(table, tables, report),
@@ -223,7 +254,10 @@ def _t_gps_s(table: pd.DataFrame, tables: dict[str, pd.DataFrame], report: Integ
         week[known] = np.round((whole - tow_s[known]) / WEEK_S)
     for name in ("NAV-TIMEGPS", "NAV-SOL", *RAW_OBSERVATIONS):
         if name in tables and not np.isfinite(week).all():
-            told = tables[name][["tow_s", "week"]].astype(float).sort_values("tow_s")
+            valid = tables[name].query(f"{_WEEK_OK[name]} == 1") if name in _WEEK_OK else tables[name]
+            if valid.empty:
+                continue
+            told = valid[["tow_s", "week"]].astype(float).sort_values("tow_s")
             near = np.clip(np.searchsorted(told["tow_s"], tow_s), 0, len(told) - 1)
             week = np.where(np.isfinite(week), week, told["week"].to_numpy()[near])
     if np.isnan(week).any():

@@ -34,6 +34,7 @@ _SMRMSG_RECORD = 80
 _ROUGH: Final = (100.0, 100.0, 1200.0)
 """Standard deviations that an SMRMSG stays below: metres, metres a second, arc minutes."""
 _MOST_UPSIDE_DOWN = 0.5
+_STEEPEST_DEG = 60.0
 _DEGREE_M: Final = 111_195.0
 _UNDER_WAY_MPS, _FASTEST_MPS, _FEWEST_STEPS = 0.8, 50.0, 20
 """Speeds at which a boat points where it goes, and seconds of them that tell something."""
@@ -121,7 +122,16 @@ def doubtful_heading(states: pd.DataFrame) -> str:
 
 
 def _refuse_upside_down(log: PoseLog, where: Path) -> None:
-    """A boat floats upright: a wrong order of the quaternion or wrong axes of the body turn it over."""
+    """A boat floats upright: a wrong order of the quaternion or wrong axes turn it over or on end."""
+    pitch = np.abs(np.rad2deg(log.states["pitch_rad"].dropna().to_numpy()))
+    if len(pitch) and np.mean(pitch > _STEEPEST_DEG) > _MOST_UPSIDE_DOWN:
+        raise InputError(
+            f"the bow points up or down by {np.median(pitch):.0f} deg (median of {len(pitch):,} poses)",
+            expected="a boat that floats upright, in a world x east, y north, z up",
+            where=where,
+            cure="Are angles in degrees taken for radians? Else turn the world (of a camera's odometry: z "
+            "forward, y down), or correct body_axes",
+        )
     roll = log.states["roll_rad"].dropna().to_numpy()
     over = np.cos(roll) < 0.0
     if len(roll) and over.mean() > _MOST_UPSIDE_DOWN:

@@ -18,6 +18,7 @@ from thalweg.ingest import (
     PositionLog,
     PositionReader,
     TrackOptions,
+    pings_of,
 )
 from thalweg.ingest.framing import intact_bytes
 from thalweg.ingest.nmea import read_nmea
@@ -138,21 +139,24 @@ def soundings_table(path: Path) -> tuple[pd.DataFrame, list[str]] | None:
     log = read_depths([path])
     if len(log.soundings):
         return log.soundings, list(log.report.notes)
-    track = log.positions.dropna(subset=["t_gps_s", "lat_deg"])
+    depths, again = pings_of(log.depths)
+    unfixed, reckoned = (int((log.positions["fix"] == fix).sum()) for fix in ("none", "dead_reckoning"))
+    track = log.positions[log.positions["fix"] != "none"].dropna(subset=["t_gps_s", "lat_deg"])
     if len(track) < 2:
         raise InputError(
-            f"{len(log.depths):,} depths and no positions with times beside them",
+            f"{len(log.depths):,} depths and no positions with times beside them"
+            + (f" ({unfixed:,} have no fix, or one of a simulator)" if unfixed else ""),
             where=path,
             expected="a recording that holds both, on one clock",
             cure="Put depths and track into a campaign (`thalweg new-campaign`), or give a table with places",
         )
     track = track.drop_duplicates("t_gps_s").sort_values("t_gps_s")
-    t = log.depths["t_gps_s"].to_numpy(np.float64)
+    t = depths["t_gps_s"].to_numpy(np.float64)
     after = np.clip(np.searchsorted(track["t_gps_s"], t), 1, len(track) - 1)
     step = np.diff(track["t_gps_s"])[after - 1]
     within = (t >= track["t_gps_s"].iloc[0]) & (t <= track["t_gps_s"].iloc[-1])
     near = within & (step <= max(MOST_STEP_S, 3 * float(np.median(step[within])) if within.any() else 0.0))
-    depth = log.depths["depth_m"].to_numpy(np.float64)
+    depth = depths["depth_m"].to_numpy(np.float64)
     seen = near & (depth > 0)
     if not seen.any():
         raise InputError(
@@ -161,7 +165,16 @@ def soundings_table(path: Path) -> tuple[pd.DataFrame, list[str]] | None:
             expected="depths and positions of the same minutes",
             cure="Look at it with `thalweg describe`",
         )
-    notes = [*log.report.notes, "Depths are below the transducer, as recorded: its draught is not added."]
+    from_water = set(depths["sentence"]) == {"DBS"}
+    below = "water line" if from_water else "transducer, as recorded: its draught is not added"
+    notes = [*log.report.notes, f"Depths are below the {below}."]
+    for what, n in (
+        ("depths that state the same pings again are left out", again),
+        ("positions without a fix are left out", unfixed),
+        ("positions are dead reckoning, not fixes", reckoned),
+    ):
+        if n:
+            notes.append(f"{n:,} {what}")
     for what, n in (("without a bottom", near & (depth <= 0)), ("without a position at their time", ~near)):
         if n.any():
             notes.append(f"{int(n.sum()):,} of {len(t):,} depths {what} are left out")

@@ -50,6 +50,11 @@ Form = Literal["llh", "xyz", "enu"]
 
 _DATE: Final = re.compile(r"\d{4}[/-]\d{1,2}[/-]\d{1,2}$")
 _POSITION: Final = {"latitude": "llh", "x-ecef": "xyz", "e-baseline": "enu"}
+_COORDINATES: Final = {
+    "llh": ("latitude(deg)", "longitude(deg)", "height(m)"),
+    "xyz": ("x-ecef(m)", "y-ecef(m)", "z-ecef(m)"),
+    "enu": ("e-baseline(m)", "n-baseline(m)", "u-baseline(m)"),
+}
 _ORDER: Final[dict[str, tuple[str, ...]]] = {
     # names of the standard deviations and covariances in the order in which RTKLIB writes them
     "llh": ("sdn", "sde", "sdu", "sdne", "sdeu", "sdun"),
@@ -98,7 +103,7 @@ def layout_from_header(header_lines: list[str], first_fields: list[str]) -> Layo
     """
     calendar = _DATE.match(first_fields[0]) is not None
     text = "\n".join(header_lines)
-    geodetic = re.search(r"=\s*\w+/geodetic", text) is not None
+    geodetic = re.search(r"=\s*\w+/(?!ellipsoidal)\w+", text) is not None
     for line in header_lines:
         bare = _bare_names(line)
         form = next((_POSITION[n] for n in bare if n in _POSITION), None)
@@ -179,6 +184,7 @@ FIX_OF_QUALITY: Final = {
 
 _JST_S: Final = 9 * 3600
 _REF_POS: Final = re.compile(r"^%\s*ref pos\s*:\s*(.*)$", re.MULTILINE)
+_DATUM: Final = re.compile(r"lat/lon/height=\s*(\w+)/")
 _MAX_LINES_SHOWN: Final = 20
 _SAME_EPOCH_S: Final = 1e-3
 _ON_LINE_DEG: Final = 5e-9
@@ -274,6 +280,7 @@ def _read_one(path: Path, report: IntegrityReport) -> pd.DataFrame:
             fields = [f for f in SEPARATORS.split(line.strip()) if f]
             if layout is None and len(fields) >= 5:
                 layout = layout_from_header([h[1:] for h in heads], fields)
+                _refuse_other_columns(heads, layout, path)
             row = _row(fields, layout) if layout is not None else None
             if row is None:
                 bad.append(number)
@@ -284,6 +291,8 @@ def _read_one(path: Path, report: IntegrityReport) -> pd.DataFrame:
             rows.append(row)
         if layout is not None and rows:
             _say_layout(layout, path, report)
+            if (datum := _DATUM.search("\n".join(heads))) and datum[1].upper() not in ("WGS84", "WGS"):
+                report.note(f"{path.name} states the datum {datum[1]}: its positions are taken as WGS 84.")
             scales.append(f"{layout.scale.upper()} from line {first} on")
             tables.append(
                 _table(np.array(rows), layout, _base(heads, path) if layout.form == "enu" else None)
@@ -307,6 +316,24 @@ def _read_one(path: Path, report: IntegrityReport) -> pd.DataFrame:
             "in its own."
         )
     return pd.concat(tables, ignore_index=True)
+
+
+def _refuse_other_columns(heads: list[str], layout: Layout, path: Path) -> None:
+    """Raise InputError where the names of the coordinates state another order or unit than RTKLIB's."""
+    expected = _COORDINATES[layout.form]
+    for line in filter(names_columns, (head[1:] for head in heads)):
+        words = [name for name in SEPARATORS.split(line.strip()) if name]
+        stated = [name.lower().replace("d'\"", "deg") for name in words[: _bare_names(line).index("Q")][-3:]]
+        if any(
+            name not in (usual, usual.partition("(")[0])
+            for name, usual in zip(stated, expected, strict=False)
+        ):
+            raise InputError(
+                f"columns {' '.join(stated)}",
+                expected=" ".join(expected),
+                where=path,
+                cure="Write them as RTKLIB does, or name the columns of a table of positions with times",
+            )
 
 
 def _sections(lines: list[str]) -> Iterator[tuple[list[str], list[tuple[int, str]]]]:

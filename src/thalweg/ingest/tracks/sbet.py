@@ -55,6 +55,8 @@ _EARTH_M: Final = 6_378_137.0
 # Below this speed the steps of the positions are too noisy to tell one velocity convention from another.
 _TELLING_SPEED_MPS: Final = 0.5
 _MAX_WEEK: Final = 10_000
+_FINEST_DEG: Final = 1e-3
+"""No INS of a boat knows its roll better."""
 FINISHED: Final = {"fix": "none", "system_status": 0, "filter_status": NAVIGATION_INITIALISED}
 """Columns of ``ins_state`` for a trajectory that other software finished."""
 _LAST_TIME_S: Final = 3e9
@@ -324,7 +326,16 @@ def _sigmas(
             where=where,
             cure="Give the smrmsg file of the same solution",
         )
+    if zero := [name for name, (index, _) in columns.items() if not records[:, index].any()]:
+        report.note(f"The smrmsg states 0 throughout for {', '.join(zero)}: taken as unknown.")
+    roll_deg = float(np.rad2deg(np.median(records[:, 7]) * _ARC_MINUTE_RAD))
+    if 0 < roll_deg < _FINEST_DEG:
+        report.note(
+            f"The smrmsg states roll to {roll_deg:.1g} deg (median, as arc minutes), finer than any INS: "
+            "written in degrees or radians?"
+        )
     return {
         name: np.interp(t, t_sigma[order], records[order, index] * unit, left=np.nan, right=np.nan)
         for name, (index, unit) in columns.items()
+        if name not in zero
     }

@@ -75,6 +75,18 @@ _REMARKS: Final = {
     "qx qy qz qw": re.compile(r"(?<![a-z])q?x[\s,/]*q?y[\s,/]*q?z[\s,/]*q?w(?![a-z])", re.IGNORECASE),
 }
 """Orders of a quaternion as people write them in comments."""
+_FRAMES: Final = re.compile(
+    r"(?i)\b(?-i:T_[A-Z][A-Z]\b|T_[a-z]+_[a-z]+)|\binverse|\b[zx] *(?:is )?down|world2|w2c|\bodom\b"
+)
+"""Words on the frames of poses; one that is not read is quoted."""
+_OTHER_COLUMNS: Final = (
+    (r"(?:^|[\s,;#])(?:lat|latitude)(?:_?deg)?[\s,;]+(?:lon|long|lng|longitude)(?:_?deg)?[\s,;\w]*q_?[wx]",
+     "latitudes and longitudes", "Give it as a table of positions, or turn its places into metres"),
+    (r"(?i)\b[pq]_SR_", "poses of the world in the body (SR)", "Invert them: the body in the world (RS)"),
+)  # fmt: skip
+"""Columns that name something else than poses of the body in a world in metres."""
+_FARTHEST_M: Final = 200_000.0
+"""No survey reaches farther from its origin."""
 
 BODY_AXES: Final = {
     "forward-right-down": np.eye(3),
@@ -252,7 +264,15 @@ def _numbers(kind: str, path: Path, report: IntegrityReport) -> ArrayF:
             cure="Check the file",
         )
     table = np.array(rows)
-    for head in filter(matters, heads):
+    for form, found, cure in _OTHER_COLUMNS:
+        if head := next((head for head in heads if re.search(form, head)), ""):
+            raise InputError(
+                f"{found}: '{head[:60]}'",
+                expected="metres in a world, and rotations from the body into it",
+                where=path,
+                cure=cure,
+            )
+    for head in (head for head in heads if matters(head) or _FRAMES.search(head)):
         report.note(f"{path.name} says '{head[:80]}', which is not read.")
     if kind == "kitti":
         return table
@@ -320,6 +340,13 @@ def states_of_poses(poses: TextPoses, options: TrackOptions) -> PoseLog:
     t_gps_s = gps_from_scale(poses.t_s, unit)
     if unit not in ("unix_s", "gps_s"):
         report.note(f"Its times are taken as {TIME_SCALES[unit]}.")
+    if len(poses.t_s) and (away_m := float(np.abs(poses.position_m).max())) > _FARTHEST_M:
+        raise InputError(
+            f"poses up to {away_m / 1000:,.0f} km from the origin of their world",
+            expected="metres east, north, up from the origin (campaign.origin)",
+            where=where,
+            cure="If they are places on a map (UTM), take off those of the origin",
+        )
     lat, lon, height = frame.to_geodetic(poses.position_m)
     # attitudes are stated in the local level of each position, not in that of the frame's origin
     R_enu_wcs = np.swapaxes(frame.R_wcs_enu(lat, lon), -1, -2)
@@ -381,6 +408,12 @@ _ALIASES: Final = {
     "sd_heading": ("HdngSD", "HeadingSD", "SDHeading", "AzimuthSD"),
 }
 """Our names of the columns -> those of export profiles, told without regard to capitals and hyphens."""
+_METRES: Final = re.compile(r"(?:\+/-)?m(?:et(?:er|re)s?)?(?:/s(?:ec)?)?")
+_EXPORT_REMARKS: Final = re.compile(
+    r"(?i)^\s*datum:(?! *(?:wgs ?-?84|itrf))|\btime\b(?!.*offset).*\butc\b|\b9\d(?:\.\d+)? ?%"
+    r"|\b[23][ -]?sigma"
+)
+"""Lines of a header on datum, time and standard deviations that change what the columns mean."""
 _MOST_DAYS_APART: Final = 1.5
 """Middle of the stated day from a time: half a day, and one that a zone may shift the date."""
 _NEEDED: Final = ("tow", "lat", "lon", "height", "roll", "pitch", "heading")
@@ -435,6 +468,10 @@ def read_inertial_explorer(files: Sequence[Path], options: TrackOptions | None =
                 cure="Export it, or set logs.gps_week",
             )
         columns["week"] = float(options.gps_week)
+    zero = [
+        name for name in columns.columns.astype(str) if name.startswith("sd_") and not columns[name].any()
+    ]
+    columns = columns.drop(columns=zero)  # of a profile with too few digits, or of no filter
     if "sd_horizontal" in columns:
         report.note("SDHoriz holds both axes: east and north are taken as alike, SDHoriz over the root of 2.")
         for name in ("sd_east", "sd_north"):
@@ -492,7 +529,14 @@ def _columns(path: Path, report: IntegrityReport) -> pd.DataFrame:
             where=path,
             cure="Export with a header",
         )
+    for line in filter(_EXPORT_REMARKS.search, lines[:first]):
+        report.note(f"{path.name} says '{line.strip()[:80]}', which is not read.")
     names = lines[first].split()
+    if "yaw" in map(str.lower, names):
+        report.note(
+            f"{path.name} names its heading Yaw: taken as clockwise from north. NovAtel's own yaw counts "
+            "counterclockwise: export Heading."
+        )
     units = re.findall(r"\(([^)]*)\)", "".join(lines[first + 1 : first + 2]))
     if len(units) > len(names):  # degrees, minutes and seconds in brackets of their own
         text = "\n".join(map(str.strip, units))
@@ -562,7 +606,14 @@ def _columns(path: Path, report: IntegrityReport) -> pd.DataFrame:
                     cure="Export angles in degrees",
                 )
             values = values * _DEG_OF_UNIT[word]
-        elif name not in ("tow", "week", "date") and not unit.strip().lower().startswith("m"):
+        elif name == "tow" and "utc" in unit.lower():
+            raise InputError(
+                f"times in '{unit}'",
+                expected="seconds of the GPS week, without leap seconds",
+                where=path,
+                cure="Export GPS time",
+            )
+        elif name not in ("tow", "week", "date") and not _METRES.fullmatch(unit.strip().lower()):
             raise InputError(
                 f"unit '{unit}' of {_ALIASES[name][0]}", expected="m, m/s", where=path, cure="Export metres"
             )
@@ -632,6 +683,10 @@ def _weeks(day: ArrayF, tow_s: ArrayF, where: str) -> ArrayF:
 # ---------------------------------------------------------------- GPX
 
 _UNUSED: Final = {"wpt": "waypoints", "rtept": "points of routes"}
+_UNIT_IN_WORDS: Final = re.compile(rb"(?i)\b(?:depths?|units?)\b[^<>]{0,30}\b(?:feet|foot|ft|fathoms?)\b")
+_UNIT_OF_DEPTHS: Final = re.compile(rb"(?i)depth[^<>]*(?:unit|uom|ft|feet|fathom)[^<>]*>")
+_TAKE_TURNS: Final = 0.1
+"""Share of points whose next one in time is of another track, where a receiver makes one after the other."""
 _FIX_OF_GPX: Final = {"none": "none", "dgps": "dgnss"}
 
 
@@ -651,8 +706,11 @@ def read_gpx(files: Sequence[Path]) -> PositionLog:
     depths: list[tuple[float, float]] = []
     foreign: Counter[str] = Counter()
     without_zone = below = 0
+    remark = ""
     for path in files:
         data = path.read_bytes()
+        if (said := _UNIT_IN_WORDS.search(data.split(b"<trk", 1)[0])) and not _UNIT_OF_DEPTHS.search(data):
+            remark = said[0].decode("utf-8", "replace")
         report.bytes_read += len(data)
         root = parse_xml(data, path, "track points with lat, lon and time")
         try:
@@ -702,6 +760,9 @@ def read_gpx(files: Sequence[Path]) -> PositionLog:
     report.note("GPX states no standard deviations: orientation.sigma_position_m says them.")
     if doubt := doubtful_date(t):
         report.note(doubt)
+    segment = np.cumsum(np.diff(t, prepend=t[0]) < 0)
+    if len(t) > 1 and np.mean(np.diff(segment[np.argsort(t, kind="stable")]) != 0) > _TAKE_TURNS:
+        report.note("Its tracks are of the same time, of two receivers or recorded twice: give one of them.")
     if without_zone:
         report.note(
             f"{without_zone:,} times state no zone: taken as UTC. Some programs write local time: "
@@ -712,6 +773,13 @@ def read_gpx(files: Sequence[Path]) -> PositionLog:
     if below > 0.9 * len(rows):
         report.note("Its elevations are negative: depths, perhaps, which are not read from there.")
     log = PositionLog(report=report, positions=frame_of(GNSS_POSITION, dict(table), unknown=np.nan))
+    if depths and remark:
+        raise InputError(
+            f"depths without a unit of their own beside '{remark}'",
+            expected="metres, or depths that state their unit",
+            where=files[0],
+            cure="Name the unit in the elements (depth_ft, or unit='ft'), or export metres",
+        )
     if depths:
         unix_s, depth_m = np.array(depths).T
         values = {"t_gps_s": gps_from_unix(unix_s), "depth_m": depth_m, "line": np.arange(1, len(depths) + 1)}
