@@ -60,6 +60,8 @@ def test_heights_and_datum_of_a_track(tmp_path):
     assert log.positions["h_ell_m"].tolist() == [120.5]
     assert 2e-4 < abs(log.positions["lon_deg"][0] + 98.5) < 5e-4
     assert "are in NAD27, as the file states" in " ".join(log.report.notes)
+
+
 def test_a_deeper_export_in_other_units_or_without_places(tmp_path):
     """59 degrees are Fahrenheit, and then depths are feet; 0, 0 is no place."""
     path = tmp_path / "depths.csv"
