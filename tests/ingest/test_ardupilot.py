@@ -171,6 +171,12 @@ def test_rangefinders_count_where_they_look_down_and_see_the_bottom(tmp_path):
     assert depths["depth_m"].value_counts().to_dict() == {4.0: 540, 0.0: 60}
 
 
+def test_the_driver_of_novatel_counts_undulations_upwards(tmp_path):
+    path = tmp_path / "log.bin"
+    path.write_bytes(boat_log(und_m=46.5).replace(b"ArduRover V4.5.1 (ab)", b"GPS 1: detected NOVA "))
+    assert read_ardupilot([path], TrackOptions()).positions["h_ell_m"].iloc[0] == pytest.approx(146.5)
+
+
 @pytest.mark.parametrize("und_m", [float("nan"), 0.0])
 def test_without_undulation_there_is_no_ellipsoidal_height(tmp_path, und_m):
     path = tmp_path / "log.bin"

@@ -8,8 +8,8 @@ is the parameter ``GPS_DELAY_MS`` or, where that is 0, the `USUAL_LAG_S` of Ardu
 Attitude and position are those of the filter (ATT, POS), their standard deviations from its covariance
 (XKV1: quaternion, velocity, position; XKF4.errRP: tilt). Depths are WATER_DEPTH and DPTH, else those of
 rangefinders that look down. Heights are above mean sea level; only a stated undulation makes them
-ellipsoidal: GPA.Und, which is that of the ellipsoid above the sea (negative in Europe), or
-GPS_RAW_INT.alt_ellipsoid.
+ellipsoidal: GPA.Und, which is that of the ellipsoid above the sea (negative in Europe; NovAtel's driver
+writes that of the sea above the ellipsoid), or GPS_RAW_INT.alt_ellipsoid.
 Source: ArduPilot, "Onboard Message Log Messages"; MAVLink common and ardupilotmega message sets.
 """
 
@@ -340,6 +340,8 @@ def _dataflash_fixes(log: Messages, report: IntegrityReport) -> tuple[pd.DataFra
     near = near.assign(
         **{name: near[name].where(near[name] != 0) for name in ("Und", "VAcc") if name in near}
     )
+    said = _texts(log.get("MSG", _NONE).get("Message", ()))
+    novatel = any(re.match(rf"GPS {chosen + 1}\b.*\bNOVA\b", text) for text in said)
     alt = gps["Alt"].astype(float)
     return (
         _fixes(
@@ -350,7 +352,7 @@ def _dataflash_fixes(log: Messages, report: IntegrityReport) -> tuple[pd.DataFra
                 "lat_deg": gps["Lat"],
                 "lon_deg": gps["Lng"],
                 "alt_m": alt,
-                "h_ell_m": alt - near["Und"].to_numpy() if "Und" in near else np.nan,
+                "h_ell_m": alt + (1 if novatel else -1) * near["Und"].to_numpy() if "Und" in near else np.nan,
                 "status": gps["Status"],
                 "n_sats": gps["NSats"],
                 "horizontal_m": near["HAcc"].to_numpy() if "HAcc" in near else np.nan,
