@@ -371,7 +371,7 @@ def _heights(file: Any, path: Path, nodata: float | None) -> Dsm:
         )  # fmt: skip
     else:
         corners = corner + cell * np.array([[0.0, 0.0], [file.width, -file.height]])
-        check_stated(corners, stated.crs, where=path)
+        check_stated(corners * stated.factors[:2], stated.crs, where=path)
     scale, offset = float(file.scales[number - 1]), float(file.offsets[number - 1])
     metres = stated.factors[2]
     raw = file.read(number)
