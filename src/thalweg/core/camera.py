@@ -639,7 +639,7 @@ def _model(data: Mapping[str, Any], coefficients: int, path: Path, *, distorted:
                 f"{key}: {data[key]}",
                 expected=f"one of {', '.join(sorted(_PERSPECTIVE | _FISHEYE))}",
                 where=path,
-                cure="Calibrate with such a lens model, or state by --model what the coefficients are of",
+                cure="Calibrate with one of these lens models",
             )
     for key in ("fisheye_model", "fisheye"):
         if key in data:
