@@ -119,6 +119,12 @@ def shares(found: pd.DataFrame, plain: pd.DataFrame) -> pd.Series:
     return (LOOSE[0] * off).clip(lower=LOOSE[1]).where(unstable, SHARE)
 
 
+def wider(kept: pd.DataFrame, found: pd.DataFrame) -> pd.Series:
+    """Shares of a table that is kept, wider where the same code on another processor broke them."""
+    off = _off(kept, found).reindex(kept.index)
+    return kept["share"].mask(off > kept["share"], shares(kept, found))
+
+
 def _off(kept: pd.DataFrame, found: pd.DataFrame) -> pd.Series:
     """By which share of its standard deviation, or of itself, each value differs."""
     size = kept["mean"].abs()
@@ -220,10 +226,7 @@ def main(folders: Sequence[Path]) -> None:
             if not found:
                 continue
             table, other = (read_kept(campaign), found[0]) if another else found
-            share = shares(table, other)
-            if another:
-                off = _off(table, other).reindex(table.index)
-                share = table["share"].mask(off > table["share"], share)
+            share = wider(table, other) if another else shares(table, other)
             table["share"] = share.map("{:.2g}".format)
             table["sd"] = table["sd"].map("{:.6g}".format)
             table.to_csv(KEPT / f"{campaign}.csv", float_format="%.10g")

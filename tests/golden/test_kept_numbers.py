@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from .kept_numbers import SHARE, moved, numbers_of, shares
+from .kept_numbers import SHARE, moved, numbers_of, shares, wider
 
 
 def results(folder, *, heights_m=(1.0, 2.0, 6.0), sigma_m=0.02, more=()):
@@ -61,3 +61,12 @@ def test_files_that_depend_on_the_processor_have_wider_limits(tmp_path):
     assert [*moved(kept, results(tmp_path / "c", heights_m=(1.0, 2.0, 60.0)))]
     # a value that only one of the two has
     assert (shares(found, found.drop(("lens.json", ".sigma_m")))["lens.json"] >= 0.1).all()
+
+
+def test_limits_that_another_processor_breaks_become_wider_and_no_others(tmp_path):
+    kept = results(tmp_path / "a").assign(share=SHARE)
+    found = results(tmp_path / "b", heights_m=(1.0, 2.0, 6.5))
+    share = wider(kept, found)
+    assert [*moved(kept.assign(share=share), found)] == []
+    assert share[share != SHARE].index.tolist() == [("heights.csv", "height_m")]
+    assert share.max() == pytest.approx(shares(kept, found).max())
