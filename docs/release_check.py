@@ -158,7 +158,9 @@ def other(name: str, last: Mapping[str, Any], root: Path = ROOT) -> dict[str, An
 
 def kept(line: dict[str, Any], last: dict[str, Any]) -> dict[str, Any]:
     """The last line of a record that is as recorded, as it says what its run changed; else the new one."""
-    known = line["state"] == "as recorded" and str(last.get("state")).startswith(MADE)
+    if line["state"] == SAME:
+        return line | {"changed": last.get("changed", "")}
+    known = line["state"] == "as recorded" and str(last.get("state")).startswith((MADE, SAME))
     return last if known else line
 
 

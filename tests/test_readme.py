@@ -339,6 +339,9 @@ def test_the_table_of_a_release(repository):
     )  # a second run, after a stop, does not lose what the first one said
     assert of["kept"](again, {"state": "failed (1)"}) == of["kept"](again, {}) == again
     assert of["kept"](made, again) == made
+    same = {"state": "first survey as before", "changed": ""}
+    assert of["kept"](same, made) == same | {"changed": "2 of 6"}
+    assert of["kept"](again, same) == same
 
 
 def test_a_study_of_other_code_is_made_again_where_its_first_survey_is(repository, small, monkeypatch):
