@@ -157,6 +157,7 @@ def _frames(path: Path, report: IntegrityReport) -> pd.DataFrame:
 
 
 _WARMEST_C: Final = 45.0
+"""No water to sail on is warmer; in Fahrenheit all water above 7 degrees Celsius is."""
 _NUMBER: Final = rb"-?\d+(?:\.\d+)?"
 _DEEPER: Final = re.compile(
     rb"-?\d{1,2}\.\d+,-?\d{1,3}\.\d+," + _NUMBER + rb"," + _NUMBER + rb",[12]\d{12}\r?"

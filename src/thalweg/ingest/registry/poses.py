@@ -34,7 +34,9 @@ _SMRMSG_RECORD = 80
 _ROUGH: Final = (100.0, 100.0, 1200.0)
 """Standard deviations that an SMRMSG stays below: metres, metres a second, arc minutes."""
 _MOST_UPSIDE_DOWN = 0.5
+"""Share of poses that lie keel up, or on end, beyond which the axes are wrong."""
 _STEEPEST_DEG = 60.0
+"""Pitch that no boat keeps; in a world of a camera, z forward, it is 90 degrees."""
 _DEGREE_M: Final = 111_195.0
 _UNDER_WAY_MPS, _FASTEST_MPS, _FEWEST_STEPS = 0.8, 50.0, 20
 """Speeds at which a boat points where it goes, and seconds of them that tell something."""
