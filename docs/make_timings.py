@@ -1,8 +1,8 @@
-"""Measure how long a campaign takes and what it needs: a row of docs/validation/timings.csv.
+"""Measure how long campaigns take and what they need: rows of docs/validation/timings.csv.
 
-.venv/bin/python docs/make_timings.py tiny --cores 2
+.venv/bin/python docs/make_timings.py tiny demo --cores 2
 
-The campaign runs in an empty folder, from simulated logs to the last picture, as a new user's first run does
+Each campaign runs in an empty folder, from simulated logs to the last picture, as a new user's first run does
 with `.venv` ready. Memory is the largest that a job's benchmark file states; time of the processor that of
 all jobs.
 """
@@ -79,11 +79,12 @@ def with_row(table: Path, row: dict[str, Any]) -> pd.DataFrame:
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("campaign")
+    parser.add_argument("campaigns", nargs="+", metavar="CAMPAIGN")
     parser.add_argument("--cores", type=int, default=os.cpu_count() or 1)
     asked = parser.parse_args()
-    with tempfile.TemporaryDirectory(prefix="thalweg_timings_") as name:
-        found = measured(asked.campaign, asked.cores, Path(name))
     table = ROOT / "docs/validation/timings.csv"
-    with_row(table, found).to_csv(table, index=False, lineterminator="\n")
-    sys.stdout.write(json.dumps(found, indent=2) + "\n")
+    for campaign in asked.campaigns:
+        with tempfile.TemporaryDirectory(prefix="thalweg_timings_") as name:
+            found = measured(campaign, asked.cores, Path(name))
+        with_row(table, found).to_csv(table, index=False, lineterminator="\n")
+        sys.stdout.write(json.dumps(found, indent=2) + "\n")

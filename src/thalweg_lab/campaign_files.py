@@ -190,6 +190,18 @@ def ledger_studies(root: Path) -> dict[str, str]:
     return {p.as_posix(): hashlib.sha256(p.read_bytes()).hexdigest()[:12] for p in names if p.is_file()}
 
 
+def records(root: Path) -> list[Path]:
+    """Recorded tables that a ledger reads where a result was not made, and the files that say what they hold.
+
+    Parameters
+    ----------
+    root : folder of the repository.
+    """
+    tables = {*(root / "docs/validation").glob("*.csv")}
+    of_ledgers = {*(root / "docs/validation").glob("ledger_*.csv")}
+    return sorted({*tables - of_ledgers, *(root / "config/studies").glob("*.yaml")})
+
+
 @cache
 def _whole_ledger(root: Path) -> Sequence[Any]:
     return read_ledgers(root / PUBLISHED)

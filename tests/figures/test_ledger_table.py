@@ -13,7 +13,7 @@ def table(repository, tmp_path_factory):
     """As a page reads it: from the file."""
     path = tmp_path_factory.mktemp("ledger") / "ledger.csv"
     entries = read_ledger(repository / "resources/published/light_sheet.yaml")
-    judged(entries, Results.of({}, {}, None)).to_csv(path, index=False, float_format="%.6g")
+    judged(entries, Results({}, {}, None)).to_csv(path, index=False, float_format="%.6g")
     return pd.read_csv(path)
 
 

@@ -156,7 +156,7 @@ def _solution(table: pd.DataFrame, report: IntegrityReport) -> PpkSolution:
 
 def _ledger(folder: Path) -> dict[str, Any]:
     entries = read_ledger(SOURCE.parent / "resources/published/light_sheet.yaml")
-    rows = judged(entries, Results.of({}, {}, None)).groupby("verdict").head(2)
+    rows = judged(entries, Results({}, {}, None)).groupby("verdict").head(2)
     rows.to_csv(folder / "ledger.csv", index=False)
     headlines = pd.DataFrame({"result": ["RMSE", "mean"], "printed": ["1 mm", "2"], "ours": ["1 mm", "none"]})
     return {"ledger": pd.read_csv(folder / "ledger.csv"), "headlines": headlines, "path": folder / "l.html"}

@@ -52,7 +52,7 @@ ROWS = (
 )
 """Published items on change (T 4.1) and on the light-sheet sensor (P3, P4, T 4.2), and those between them."""
 
-NOWHERE = Results.of({}, {}, None)
+NOWHERE = Results({}, {}, None)
 
 
 @pytest.fixture(scope="module")
@@ -98,7 +98,7 @@ def small(tmp_path):
     pd.DataFrame({"model": ["regular", "regular", "diode"], "rmse": [0.30, 0.35, 9.0]}).to_csv(
         tmp_path / "lines.csv", index=False
     )
-    results = Results.of(
+    results = Results(
         {name: tmp_path / name for name in ("panels.csv", "facts.json")},
         {"lines.csv": tmp_path / "lines.csv"},
         {"laser": {"profile": "powell"}},
@@ -255,7 +255,7 @@ def test_what_is_absent_is_named(small, change, told):
 
 
 def test_a_campaign_that_is_no_twin_has_no_settings(small):
-    results = Results.of({}, {}, None)
+    results = Results({}, {}, None)
     (row,) = judged((small[0][2],), results).to_dict("records")
     assert (row["verdict"], row["reason"]) == (NO_RESULT, "the campaign is no twin")
 
@@ -294,13 +294,13 @@ TAKEN = pd.DataFrame(
 def test_several_numbers_become_one(tmp_path, more, value):
     TAKEN.to_csv(tmp_path / "t.csv", index=False)
     ours = replace(Ours(source="file", name="t.csv", where={}, near={}, columns=("a",)), **more)
-    found = Results.of({"t.csv": tmp_path / "t.csv"}, {}, None).find(ours)
+    found = Results({"t.csv": tmp_path / "t.csv"}, {}, None).find(ours)
     assert found.value == pytest.approx(value), found
 
 
 def test_sigmas(tmp_path):
     TAKEN.to_csv(tmp_path / "t.csv", index=False)
-    results = Results.of({"t.csv": tmp_path / "t.csv"}, {}, None)
+    results = Results({"t.csv": tmp_path / "t.csv"}, {}, None)
     ours = Ours(source="file", name="t.csv", where={"b": 1.0}, near={}, columns=("a",))
     assert results.find(replace(ours, sigma="b", times=2.0)).sigma == 2.0
     assert results.find(replace(ours, sigma="unit")).sigma == 1.0

@@ -15,6 +15,7 @@ import yaml
 from thalweg.budgets import long_table, read_budget
 from thalweg.core import ConfigError
 from thalweg.settings import load_campaign
+from thalweg_lab.campaign_files import records
 from thalweg_lab.figures import write_ledger
 from thalweg_lab.reproduction import (
     ITEMS,
@@ -90,7 +91,9 @@ def results(entries, parts, repository, tmp_path_factory):
         name: load_campaign(repository / f"config/campaigns/{name}.yaml").model_dump(mode="json")
         for name in ("full", "field", "mulde", "reach", "basin")
     }
-    return Results(files={}, studies=studies, settings=settings, records=recorded(repository), parts=parts)
+    return Results(
+        files={}, studies=studies, settings=settings, records=recorded(records(repository)), parts=parts
+    )
 
 
 @pytest.fixture(scope="module")
@@ -500,3 +503,20 @@ def test_a_direction_counts_beyond_two_sigmas(entries, ours, sigma, verdict):
     # a bound that is printed as a number is no direction
     bound = replace(entry, basis="goal")
     assert verdict_of(bound, Found(value=-0.5, sigma=sigma))[0] == BELOW
+
+
+def test_a_record_takes_the_place_of_a_study_that_was_not_made(repository, tmp_path):
+    files = records(repository)
+    assert not [path.name for path in files if path.name.startswith("ledger_")]
+    found = recorded(files)
+    content, path = found["multi_line_models.csv"]
+    assert path.as_posix() == "docs/validation/multi_line_models.csv"
+    assert content.equals(pd.read_csv(repository / path))
+    (tmp_path / "waves.csv").write_text("key,value\nheight,0.25\n")
+    (tmp_path / "study.yaml").write_text(
+        "tables:\n  waves: {file: results/full/waves.json, pick: {height: of.1.height_m}}\n"
+        "  absent: {file: results/reproduction/absent.csv}\n"
+    )
+    picked = recorded([tmp_path / "waves.csv", tmp_path / "study.yaml"])
+    assert [*picked] == ["full/waves.json"]
+    assert picked["full/waves.json"][0] == {"of": {1: {"height_m": 0.25}}}

@@ -50,12 +50,7 @@ rule ledger:
         pages=ROOT / "resources" / "thesis_pages.yaml",
         stored=[ROOT / name for name in laboratory.STORED],
         tables=rules.budget_tables.output.tables,
-        # all but its own records
-        records=sorted(
-            {*(ROOT / "docs" / "validation").glob("*.csv")}
-            - {*(ROOT / "docs" / "validation").glob("ledger_*.csv")}
-        ),
-        recorded=sorted((ROOT / "config" / "studies").glob("*.yaml")),
+        records=laboratory.records(ROOT),
         campaigns=lambda wildcards: laboratory.whole_ledger_campaigns(ROOT),
     output:
         ledger="results/reproduction/ledger.csv",
@@ -79,7 +74,6 @@ rule ledger:
         runtime=minutes(10),
     params:
         code=code_version("ledger"),
-        root=lambda wildcards: str(ROOT),
         results=lambda wildcards: laboratory.whole_ledger_results(ROOT),
         rules=lambda wildcards: sorted(rule.name for rule in workflow.rules),
         figures=sorted(row.name for row in FIGURES.rows),

@@ -30,6 +30,8 @@ rule light_sheet_ledger:
         published=ROOT / laboratory.LEDGER,
         stored=[ROOT / name for name in laboratory.STORED],
         results=of(laboratory.ledger_results, ROOT),
+        # of studies that were not made here
+        records=laboratory.records(ROOT),
     output:
         ledger="results/{campaign}/triangulation/ledger.csv",
         text="results/{campaign}/triangulation/ledger.md",

@@ -29,13 +29,13 @@ def main(
     published: list[Path],
     named: Path,
     pages: Path,
+    records: list[Path],
     campaigns: list[Path],
     ledger: Path,
     verdicts: Path,
     chosen: Path,
     text: Path,
     page: Path,
-    root: str,
     results: dict[str, str],
     rules: list[str],
     figures: list[str],
@@ -48,7 +48,7 @@ def main(
         files=made,
         studies={name.removeprefix("reproduction/"): path for name, path in made.items()},
         settings={path.stem: load_campaign(path).model_dump(mode="json") for path in campaigns},
-        records=recorded(Path(root)),
+        records=recorded(records),
         parts=parts_of(rules, figures),
     )
     table = whole_ledger(entries, found, read_pages(pages))

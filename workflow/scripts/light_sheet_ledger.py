@@ -5,7 +5,16 @@ from pathlib import Path
 from typing import Any
 
 from thalweg.workflow import run_job
-from thalweg_lab.reproduction import Results, counts, distinct, judged, markdown, read_ledger, sentence
+from thalweg_lab.reproduction import (
+    Results,
+    counts,
+    distinct,
+    judged,
+    markdown,
+    read_ledger,
+    recorded,
+    sentence,
+)
 
 log = logging.getLogger("thalweg")
 
@@ -14,6 +23,7 @@ def main(
     *,
     published: Path,
     results: list[Path],
+    records: list[Path],
     ledger: Path,
     text: Path,
     numbers: Path,
@@ -24,7 +34,12 @@ def main(
     twin: bool,
 ) -> None:
     files = {path.relative_to(folder).as_posix(): path for path in results}
-    found = Results.of(files, {Path(name).name: Path(name) for name in studies}, light_sheet)
+    found = Results(
+        files=files,
+        studies={Path(name).name: Path(name) for name in studies},
+        settings=light_sheet,
+        records=recorded(records),
+    )
     table = judged(read_ledger(published), found)
     table.to_csv(ledger, index=False, float_format="%.6g")
     counts(table).to_csv(numbers, index=False)

@@ -174,13 +174,6 @@ class Results:
     parts: Mapping[str, Callable[[str], bool]] = field(default_factory=dict)
     _read: dict[Path, Any] = field(default_factory=dict)
 
-    @classmethod
-    def of(
-        cls, files: Mapping[str, Path], studies: Mapping[str, Path], settings: Mapping[str, Any] | None
-    ) -> "Results":
-        """Nothing is read yet."""
-        return cls(files=files, studies=studies, settings=settings)
-
     def find(self, ours: Ours) -> Found:
         """The number of a pointer to a file, a study or a setting.
 

@@ -382,23 +382,31 @@ def missing_items(entries: Iterable[Entry]) -> list[str]:
 # ---------------------------------------------------------------- what entries may point to
 
 
-def recorded(root: Path) -> dict[str, tuple[Any, Path]]:
-    """Tables of ``docs/validation`` by the result that they were taken from: ``full/accuracy/chains.csv``
-    below the results, ``chain_study.csv`` below ``results/reproduction``.
+def recorded(files: Iterable[Path]) -> dict[str, tuple[Any, Path]]:
+    """Recorded tables by the result that they were taken from: ``full/accuracy/chains.csv`` below the
+    results, ``chain_study.csv`` below ``results/reproduction``.
 
     A picked JSON file comes back as the tree that its keys were picked from.
+
+    Parameters
+    ----------
+    files : tables of ``docs/validation``, and the files of ``config/studies`` that say what was recorded.
     """
+    by_suffix: dict[str, list[Path]] = {".csv": [], ".yaml": []}
+    for path in files:
+        by_suffix[path.suffix].append(path)
+    tables = {path.stem: path for path in by_suffix[".csv"]}
     found: dict[str, tuple[Any, Path]] = {}
-    for study in sorted((root / "config/studies").glob("*.yaml")):
+    for study in by_suffix[".yaml"]:
         entry = yaml.safe_load(study.read_text(encoding="utf-8"))
         for table, wanted in entry.get("tables", {}).items():
-            path = root / "docs/validation" / f"{table}.csv"
-            if not path.is_file():
+            if table not in tables:
                 continue
-            content = pd.read_csv(path, keep_default_na=False, na_values=["", "nan", "NaN"])
+            content = pd.read_csv(tables[table], keep_default_na=False, na_values=["", "nan", "NaN"])
             name = wanted["file"].removeprefix("results/").removeprefix("reproduction/")
             picked = wanted.get("pick")
-            found[name] = (_tree(content, picked) if picked else content), path.relative_to(root)
+            file = Path("docs/validation") / f"{table}.csv"
+            found[name] = (_tree(content, picked) if picked else content), file
     return found
 
 
