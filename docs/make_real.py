@@ -137,6 +137,12 @@ def read_record(path: Path) -> Record:
         return {row["test"]: row for row in csv.DictReader(stream)}
 
 
+def renewed(record: Record, found: Record) -> Record:
+    """The record with the tests that ran; gone are other parameters that such a test had before."""
+    again = {name.split("[")[0] for name in found}
+    return {name: row for name, row in record.items() if name.split("[")[0] not in again} | found
+
+
 def main() -> None:
     """Run, record, write."""
     parser = argparse.ArgumentParser(description="Run rows of docs/validation/real.yaml; write real.md.")
@@ -150,7 +156,7 @@ def main() -> None:
         tests = list(dict.fromkeys(test for row in rows_of(plan, options.only) for test in row["tests"]))
         if not tests:
             raise SystemExit(f"no row of docs/validation/real.yaml holds {options.only!r}")
-        record |= run_tests(tests, options.workers)
+        record = renewed(record, run_tests(tests, options.workers))
     wanted = {test for row in rows_of(plan) for test in row["tests"]}
     kept = [record[name] for name in sorted(record) if {name, name.split("[")[0]} & wanted]
     with (FOLDER / "real.csv").open("w", newline="", encoding="utf-8") as stream:

@@ -61,6 +61,8 @@ def test_what_becomes_of_rows(made, tmp_path, monkeypatch):
     assert cells["one"] == "the same"
     assert cells["never"] == "**not run yet**"
     assert "2 of 5 rows hold" in text
+    once = {name: {} for name in ("test_a.py::test_each[3]", "test_b.py::test_other[1]")}
+    assert [*made["renewed"](once, record)] == ["test_b.py::test_other[1]", *record]
     with pytest.raises(SystemExit, match="nothing is recorded"):
         made["run_tests"](["test_a.py::test_none"], 1, tmp_path)
     assert [each["cells"][0] for each in made["rows_of"](plan, "AWAY")] == ["away"]
