@@ -1,6 +1,5 @@
 """A short twin that several tests look at: 4 s across a full hour, all logs, and its truth."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,8 +19,6 @@ LIDAR_M = np.array([-0.35, 0.02, -0.25])
 ANTENNA_M = np.array([0.10, -0.05, -0.45])
 ECHO_M = np.array([0.20, 0.03, 0.30])
 SEED = 5
-Recorder = Callable[..., tuple[Path, dict[str, Any], TwinConfig]]
-"""What `record` gives."""
 ELEVATION = np.deg2rad([-15.0, 1, -13, 3, -11, 5, -9, 7, -7, 9, -5, 11, -3, 13, -1, 15])
 OFFSET_MM = np.array(
     [11.2, -0.7, 9.7, -2.2, 8.1, -3.7, 6.6, -5.1, 5.1, -6.6, 3.7, -8.1, 2.2, -9.7, 0.7, -11.2]

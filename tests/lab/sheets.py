@@ -1,5 +1,6 @@
 """Scenes of a few flat sheets, for tests that must know where each of them is."""
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,19 @@ def sheet(centre: Any, along: Any, across: Any) -> tuple[ArrayF, np.ndarray]:
     return np.array([c - a - b, c + a - b, c + a + b, c - a + b]), np.array([[0, 1, 2], [0, 2, 3]])
 
 
-def scene_of(*parts: tuple[tuple[ArrayF, np.ndarray], Material]) -> Scene:
+def level(up_m: float) -> tuple[ArrayF, np.ndarray]:
+    """A level sheet of 400 m a side about the origin."""
+    return sheet([0.0, 0.0, up_m], [200.0, 0.0, 0.0], [0.0, 200.0, 0.0])
+
+
+def bed(folder: Path, plane: tuple[ArrayF, np.ndarray], *stones: tuple[ArrayF, np.ndarray]) -> Path:
+    """File of a bed under water whose level is 0, and of flat stones over it."""
+    parts = [(plane, Material.BED), *((stone, Material.STONE) for stone in stones)]
+    scene_of(*parts, level_m=0.0).write(folder / "scene.npz")
+    return folder / "scene.npz"
+
+
+def scene_of(*parts: tuple[tuple[ArrayF, np.ndarray], Material], level_m: float = -1.0) -> Scene:
     """A scene of a few sheets."""
     vertices, triangles, material = [], [], []
     for (v, f), kind in parts:
@@ -25,7 +38,7 @@ def scene_of(*parts: tuple[tuple[ArrayF, np.ndarray], Material]) -> Scene:
         vertices_wcs_m=np.concatenate(vertices),
         triangles=np.concatenate(triangles),
         material=np.array(material, dtype=np.uint8),
-        water_level_m=-1.0,
+        water_level_m=level_m,
     )
 
 

@@ -8,12 +8,7 @@ from tests.lab.conftest import FRAME, SEED, short
 from thalweg.ingest.tracks import read_bed_survey
 from thalweg_lab.instruments import simulate_bed_survey
 from thalweg_lab.instruments.bed import DEPTHS_M, REACH_M, bed_points
-from thalweg_lab.river import Material, Scene
-
-
-@pytest.fixture(scope="module")
-def scene(twin):
-    return Scene.read(twin.path("scene.npz"))
+from thalweg_lab.river import Material
 
 
 def test_points_lie_on_the_bed_in_shallow_water_near_the_track(twin, scene):

@@ -1,11 +1,9 @@
 """The clock test: times, what the display shows, reflexes and faults, files."""
 
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.testing import assert_allclose
 from PIL import Image
 
 from thalweg.core import ADJUSTED_OFFSET_S
@@ -16,11 +14,11 @@ from thalweg_lab.settings import TwinConfig
 SEED = 7
 
 
-def config(**display: Any) -> TwinConfig:
+def config(**display):
     return TwinConfig.of_size("demo", camera={"display": {"duration_s": 60.0, **display}})
 
 
-def taken(folder: Path, **display: Any) -> tuple[pd.DataFrame, list[np.ndarray]]:
+def taken(folder, **display):
     truth = simulate_display(config(**display), SEED, folder / "photos", folder / "truth.parquet")
     images = []
     for name in truth["file"]:
@@ -44,7 +42,7 @@ def test_intervals_have_the_published_mean_and_scatter():
     # No wandering: each exposure stays near its even grid.
     grid = times.of_day_s - times.of_day_s[0] - 0.999 * np.arange(5406)
     assert np.abs(grid - grid.mean()).max() < 0.023 / np.sqrt(2) * 5
-    np.testing.assert_allclose(np.diff(times.t_gps_s), interval, atol=1e-6)
+    assert_allclose(np.diff(times.t_gps_s), interval, atol=1e-6)
 
 
 def test_the_text_is_gps_time_of_day(tmp_path):
@@ -61,14 +59,14 @@ def test_the_text_is_gps_time_of_day(tmp_path):
 def test_two_numbers_lie_over_each_other_where_the_display_changes():
     rows = np.array([0.0, 0.5, 1.0])
     counts, shares = shown_in(9.998, 0.004, 100.0, rows)
-    np.testing.assert_allclose(shares.sum(axis=0), 1.0)
+    assert_allclose(shares.sum(axis=0), 1.0)
     by_count = dict(zip(counts, shares, strict=True))
     # At the top the change at 10.000 halves the exposure; the middle follows 3 ms later, outside of it.
-    np.testing.assert_allclose(by_count[1000], [0.5, 0.0, 0.0], atol=1e-6)
-    np.testing.assert_allclose(by_count[999], [0.5, 1.0, 1.0], atol=1e-6)
+    assert_allclose(by_count[1000], [0.5, 0.0, 0.0], atol=1e-6)
+    assert_allclose(by_count[999], [0.5, 1.0, 1.0], atol=1e-6)
     # An exposure over several steps shows all of them.
     counts, shares = shown_in(5.0, 0.05, 100.0, np.zeros(1))
-    np.testing.assert_allclose(shares[:, 0][shares[:, 0] > 1e-9], 0.2, atol=1e-6)
+    assert_allclose(shares[:, 0][shares[:, 0] > 1e-9], 0.2, atol=1e-6)
 
 
 # ---------------------------------------------------------------- pictures

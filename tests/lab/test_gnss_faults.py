@@ -1,17 +1,16 @@
 """The receiver under a bridge, under leaves, on one frequency: kinds of solution, sigmas and errors."""
 
 import json
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from sbp.client import Framer
 from sbp.client.drivers.file_driver import FileDriver
 
 from tests.bands import band
-from tests.lab import sheets
-from thalweg.core import ArrayF, LocalFrame
+from tests.lab.conftest import ANTENNA_M, FRAME, SEED
+from tests.lab.sheets import GROUND, scene_of, sheet
 from thalweg.ingest.sbp import find_messages, read_sbp
 from thalweg.ingest.tracks import read_pos
 from thalweg_lab.instruments import (
@@ -21,24 +20,21 @@ from thalweg_lab.instruments import (
     simulate_gnss,
     stated_sigmas_m,
 )
-from thalweg_lab.river import Material, Scene
+from thalweg_lab.river import Material
 from thalweg_lab.settings import TwinConfig
 from thalweg_lab.voyage import Voyage, epochs
 
-FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
-ANTENNA_M = np.array([0.10, -0.05, -0.45])
-SEED = 5
 
-
-def twin(duration_s: float = 25.0, **gnss: Any) -> TwinConfig:
+def twin(duration_s=25.0, **gnss):
     """A boat that goes straight down the river."""
     return TwinConfig.of_size("tiny", duration_s=duration_s, gnss=gnss, boat={"zigzag_deg": 0.0})
 
 
-GROUND, scene_of, sheet = sheets.GROUND, sheets.scene_of, sheets.sheet
+LEAVES = scene_of(GROUND, (sheet([60, 0, 0], [0, 300, 0], [0, 0, 300]), Material.LEAF))
+"""A wall of leaves in the east of the whole track."""
 
 
-def roof(t_s: float, half_along_m: float, above_m: float) -> tuple[ArrayF, np.ndarray]:
+def roof(t_s, half_along_m, above_m):
     """A level sheet over the track of the boat at a time, 80 m across it."""
     voyage = Voyage(twin(), SEED)
     t = np.array([voyage.start_gps_s + t_s])
@@ -52,10 +48,10 @@ def roof(t_s: float, half_along_m: float, above_m: float) -> tuple[ArrayF, np.nd
 def record(tmp_path):
     """Record the receiver in a scene; facts and folder."""
 
-    def run(name: str, config: TwinConfig, scene: Scene | None = None) -> tuple[dict[str, Any], Path]:
+    def run(name, config, scene=None):
         folder = tmp_path / name
         path = None if scene is None else folder / "scene.npz"
-        if scene is not None and path is not None:
+        if scene is not None:
             scene.write(path)
         facts = simulate_gnss(
             config,
@@ -78,7 +74,7 @@ def record(tmp_path):
 # ---------------------------------------------------------------- logs
 
 
-def velocities(path: Path) -> tuple[ArrayF, ArrayF]:
+def velocities(path):
     """North, east, down (n, 3) and their sigmas (n, 2) in m/s of MsgVelNED, which the reader leaves aside."""
     found = find_messages(np.frombuffer(path.read_bytes(), np.uint8))
     layout = np.dtype([("tow", "<u4"), ("ned", "<i4", 3), ("sigma", "<u2", 2), ("end", "u1", 2)])
@@ -96,7 +92,7 @@ def test_the_velocities_have_their_stated_sigma_two_sided(record):
     t = after["t_gps_s"].to_numpy()
     true = Voyage(twin(), SEED).sensor_velocity_wcs_mps(t, ANTENNA_M)[:, [1, 0, 2]] * [1, 1, -1]
     # Whole millimetres per second.
-    np.testing.assert_allclose(velocities(exact / "rover.sbp")[0], true, atol=6e-4)
+    assert_allclose(velocities(exact / "rover.sbp")[0], true, atol=6e-4)
     for folder, sigma in ((noisy, 0.03), (loud, 0.3)):
         ned_mps, stated = velocities(folder / "rover.sbp")
         error = ned_mps - true
@@ -106,7 +102,7 @@ def test_the_velocities_have_their_stated_sigma_two_sided(record):
         assert abs(error.std() / sigma - 1.0) < 4 / np.sqrt(2 * n)
         # New in each epoch: the correlation of neighbours is known to 1 / sqrt(n).
         assert abs(np.mean(error[1:] * error[:-1])) < 4 / np.sqrt(n) * sigma**2
-        np.testing.assert_allclose(stated, sigma, rtol=1e-9)
+        assert_allclose(stated, sigma, rtol=1e-9)
 
 
 def test_a_low_bridge_makes_one_outage(record):
@@ -145,8 +141,7 @@ def test_a_low_bridge_makes_one_outage(record):
 def test_stated_sigmas_grow_with_the_dilution(record):
     """A wall of leaves in the east of the whole track: fixed still, with quarter weights there."""
     config = twin(8.0, shadow=True)
-    scene = scene_of(GROUND, (sheet([60, 0, 0], [0, 300, 0], [0, 0, 300]), Material.LEAF))
-    facts, folder = record("leaves", config, scene)
+    facts, folder = record("leaves", config, LEAVES)
     table = read_pos([folder / "ppk.pos"]).positions
     assert facts["sky"]["dimmed"]["min"] > 3
     sigmas = table[["sigma_east_m", "sigma_north_m", "sigma_up_m"]].to_numpy()
@@ -161,7 +156,7 @@ def test_stated_sigmas_grow_with_the_dilution(record):
     kinds = np.full(len(t), int(Solution.FIXED))
     unit = antenna_errors_m(config, SEED, "ppk", kinds, np.ones((len(t), 3)))
     # .pos states tenths of millimetres: 0.05 mm of 20 mm, and 0.06 mm in the position.
-    np.testing.assert_allclose(error / sigmas, unit, atol=0.02)
+    assert_allclose(error / sigmas, unit, atol=0.02)
 
 
 @pytest.mark.parametrize("kind", [Solution.SINGLE, Solution.FLOAT, Solution.FIXED])
@@ -186,9 +181,8 @@ def test_errors_are_as_large_as_stated_two_sided_and_larger_with_multipath(kind)
 
 
 def test_multipath_is_in_no_sigma_and_moves_both_engines_alike(record):
-    scene = scene_of(GROUND, (sheet([60, 0, 0], [0, 300, 0], [0, 0, 300]), Material.LEAF))
-    _, off = record("off", twin(8.0), scene)
-    facts, on = record("on", twin(8.0, multipath_m=0.5), scene)
+    _, off = record("off", twin(8.0), LEAVES)
+    facts, on = record("on", twin(8.0, multipath_m=0.5), LEAVES)
     moved = {}
     for name, reader, digits in (("ppk.pos", read_pos, 3e-4), ("rover.sbp", read_sbp, 1e-6)):
         a, b = (reader([f / name]).positions for f in (off, on))
@@ -197,9 +191,9 @@ def test_multipath_is_in_no_sigma_and_moves_both_engines_alike(record):
         )
         places = [FRAME.from_geodetic(x["lat_deg"], x["lon_deg"], x["h_ell_m"]) for x in (a, b)]
         moved[name] = (places[1] - places[0], digits)
-    np.testing.assert_allclose(moved["ppk.pos"][0], moved["rover.sbp"][0], atol=3e-4)
+    assert_allclose(moved["ppk.pos"][0], moved["rover.sbp"][0], atol=3e-4)
     rms = np.sqrt(np.mean(moved["rover.sbp"][0] ** 2, axis=0))
-    np.testing.assert_allclose(rms, facts["multipath_rms_m"], rtol=1e-5)
+    assert_allclose(rms, facts["multipath_rms_m"], rtol=1e-5)
     share = facts["sky"]["dimmed"]["mean"] / (facts["sky"]["dimmed"]["mean"] + facts["sky"]["free"]["mean"])
     # One observation: an error of each of three axes for each correlation time of 5 s; the 300 seeds of the
     # test above are the guard.
@@ -219,10 +213,10 @@ def test_a_single_frequency_track_as_in_p1(record):
     names = ["sigma_east_m", "sigma_north_m", "sigma_up_m"]
     for table in (pos, rover):
         assert set(table["fix"]) == {"single"}
-        np.testing.assert_allclose(table[names], np.tile([0.6, 0.6, 1.0], (len(table), 1)), rtol=1e-6)
+        assert_allclose(table[names], np.tile([0.6, 0.6, 1.0], (len(table), 1)), rtol=1e-6)
     places = [FRAME.from_geodetic(x["lat_deg"], x["lon_deg"], x["h_ell_m"]) for x in (pos, rover)]
     # One sky, one ionosphere: both programs find the same place, to the digits of .pos.
-    np.testing.assert_allclose(places[0], places[1], atol=2e-4)
+    assert_allclose(places[0], places[1], atol=2e-4)
     # No base: nothing comes over the radio, from sender 0.
     with FileDriver((folder / "rover.sbp").open("rb")) as driver, Framer(driver.read, None) as framer:
         assert {message.sender for message, _ in framer} == {0x2EFB}

@@ -1,15 +1,15 @@
 """Weeks, days, years and leap seconds change inside or near recordings; the readers see an even time axis."""
 
 import datetime as dt
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.testing import assert_allclose
 
-from thalweg.core import ADJUSTED_OFFSET_S, ConfigError, LocalFrame
+from tests.lab.conftest import ANTENNA_M, ECHO_M, FRAME, SEED
+from tests.lab.sheets import bed, level
+from thalweg.core import ADJUSTED_OFFSET_S, ConfigError
 from thalweg.ingest.anpp import read_anpp
 from thalweg.ingest.nmea import read_nmea
 from thalweg.ingest.sbp import read_sbp
@@ -17,13 +17,9 @@ from thalweg.ingest.tracks import read_pos
 from thalweg.ingest.velodyne.reader import iter_points, scan_lidar
 from thalweg_lab.instruments import simulate_echo, simulate_gnss, simulate_ins
 from thalweg_lab.instruments.lidar import LidarClock
-from thalweg_lab.river import Material, Scene
 from thalweg_lab.settings import TwinConfig
 from thalweg_lab.voyage import Voyage, epochs
 
-FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
-ANTENNA_M = np.array([0.10, -0.05, -0.45])
-SEED = 5
 STARTS = {
     # GPS - UTC is 18 s in 2021: a GPS week begins 18 s before midnight of Saturday to Sunday.
     "GPS week": "2021-05-15T23:59:39.25Z",
@@ -36,28 +32,18 @@ STARTS = {
 }
 
 
-def twin(start_utc: str, **changes: Any) -> TwinConfig:
+def twin(start_utc, **changes):
     return TwinConfig.of_size("tiny", start_utc=start_utc, duration_s=6.0, **changes)
 
 
-def bed(folder: Path) -> Path:
-    """A level bed 3 m below the water: all that the echo sounder needs."""
-    Scene(
-        vertices_wcs_m=np.array([[-200, -200, -3.0], [200, -200, -3.0], [200, 200, -3.0], [-200, 200, -3.0]]),
-        triangles=np.array([[0, 1, 2], [0, 2, 3]]),
-        material=np.full(2, int(Material.BED), dtype=np.uint8),
-        water_level_m=0.0,
-    ).write(folder / "scene.npz")
-    return folder / "scene.npz"
-
-
-def record(folder: Path, config: TwinConfig) -> dict[str, pd.DataFrame]:
+def record(folder, config):
     """Tables of the streams as the readers see them."""
     simulate_ins(config, SEED, FRAME, folder / "ins.anpp")
     simulate_gnss(
         config, SEED, FRAME, folder / "rover.sbp", folder / "ppk.pos", lever_ics_antenna_m=ANTENNA_M
     )
-    simulate_echo(config, SEED, FRAME, bed(folder), folder / "echo.nmea", lever_ics_echo_m=[0.2, 0.0, 0.3])
+    scene = bed(folder, level(-3.0))
+    simulate_echo(config, SEED, FRAME, scene, folder / "echo.nmea", lever_ics_echo_m=ECHO_M)
     nmea = read_nmea([folder / "echo.nmea"])
     return {
         "ins": read_anpp([folder / "ins.anpp"]).states,
@@ -68,7 +54,7 @@ def record(folder: Path, config: TwinConfig) -> dict[str, pd.DataFrame]:
     }
 
 
-def start_of(config: TwinConfig) -> float:
+def start_of(config):
     """Begin in adjusted GPS time, reckoned here from the calendar."""
     moment = dt.datetime.fromisoformat(config.start_utc)
     leap = 17 if moment.year < 2017 else 18
@@ -88,7 +74,7 @@ def test_the_readers_find_an_even_axis(what, tmp_path):
         assert true[-1] == pytest.approx(start + 8.0, abs=1.0 / rate_hz)
         assert len(t) == len(true), name
         # Microseconds of INS and SBP, milliseconds of .pos and hundredths of NMEA all hold these epochs.
-        np.testing.assert_allclose(t, true, rtol=0, atol=1e-6, err_msg=name)
+        assert_allclose(t, true, rtol=0, atol=1e-6, err_msg=name)
     # The places belong to those times: within six sigmas of where the boat was, at 2.4 m/s.
     voyage = Voyage(config, SEED)
     for name, limit_m in (("sbp", 0.2), ("pos", 0.2), ("ins", 6.0)):
@@ -131,7 +117,7 @@ def test_the_lidars_hour(what, record):
     # Packets count microseconds, shots are 2.304 us apart: each point has its shot, each shot its point.
     found = np.unique(t)
     assert len(found) == len(shots)
-    np.testing.assert_allclose(found, shots, rtol=0, atol=1e-6)
+    assert_allclose(found, shots, rtol=0, atol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -141,13 +127,13 @@ def test_the_lidars_hour(what, record):
 )
 def test_a_leap_second_inside_a_recording_is_refused(start, tmp_path):
     config = twin(start)
-    makers: list[Callable[[], object]] = [
+    makers = [
         lambda: simulate_ins(config, SEED, FRAME, tmp_path / "ins.anpp"),
         lambda: simulate_gnss(
             config, SEED, FRAME, tmp_path / "a.sbp", tmp_path / "a.pos", lever_ics_antenna_m=ANTENNA_M
         ),
         lambda: simulate_echo(
-            config, SEED, FRAME, bed(tmp_path), tmp_path / "echo.nmea", lever_ics_echo_m=[0.2, 0.0, 0.3]
+            config, SEED, FRAME, bed(tmp_path, level(-3.0)), tmp_path / "echo.nmea", lever_ics_echo_m=ECHO_M
         ),
         lambda: LidarClock(config, SEED, Voyage(config, SEED), FRAME),
     ]
@@ -160,7 +146,7 @@ def test_a_leap_second_inside_a_recording_is_refused(start, tmp_path):
 # ---------------------------------------------------------------- damage, through the readers
 
 
-def rows(table: pd.DataFrame) -> set[tuple[Any, ...]]:
+def rows(table):
     return set(table.drop(columns=["line"], errors="ignore").round(9).itertuples(index=False, name=None))
 
 
@@ -194,4 +180,4 @@ def test_states_before_the_ins_knows_utc_have_no_gps_time(tmp_path):
     t, true = states["t_gps_s"].to_numpy(), epochs(config, 50.0)
     late = true - start_of(config) < 1.5 - 1e-6
     assert np.array_equal(np.isnan(t), late)
-    np.testing.assert_allclose(t[~late], true[~late], rtol=0, atol=1e-6)
+    assert_allclose(t[~late], true[~late], rtol=0, atol=1e-6)

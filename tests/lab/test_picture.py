@@ -5,8 +5,9 @@ import datetime as dt
 import numpy as np
 import pytest
 
-from thalweg.core import Camera, GeometryError, Rigid
-from thalweg_lab.river import Material, Scene, Waves
+from tests.lab.sheets import scene_of, sheet
+from thalweg.core import Camera, GeometryError
+from thalweg_lab.river import Material, Waves
 from thalweg_lab.river_images import Sun
 from thalweg_lab.time_lapse.renderer import Renderer, World
 from thalweg_lab.yard import looking
@@ -16,32 +17,7 @@ NOON = Sun(azimuth_rad=np.pi, elevation_rad=np.deg2rad(60.0))
 RIPPLED = Waves.draw(1, rms_slope=0.04)
 
 
-def quad(corners: np.ndarray) -> np.ndarray:
-    return np.asarray(corners, dtype=np.float64)
-
-
-def made(*parts: tuple[np.ndarray, Material], water_level_m: float = 0.0) -> Scene:
-    """A scene of quadrilaterals."""
-    vertices = np.concatenate([p for p, _ in parts])
-    first = 4 * np.arange(len(parts))[:, None]
-    triangles = np.concatenate([first + np.array([0, 1, 2]), first + np.array([0, 2, 3])], axis=1).reshape(
-        -1, 3
-    )
-    material = np.repeat(np.array([m for _, m in parts], dtype=np.uint8), 2)
-    return Scene(
-        vertices_wcs_m=vertices,
-        triangles=triangles,
-        material=material,
-        water_level_m=water_level_m,
-        variation=np.full(len(triangles), 0.5, dtype=np.float32),
-    )
-
-
-GROUND = quad([[-50, -50, 1], [50, -50, 1], [50, 50, 1], [-50, 50, 1]])
-LID = quad([[-2, 8, 4], [2, 8, 4], [2, 12, 4], [-2, 12, 4]])
-
-
-def camera(focal_px: float, size_px: tuple[int, int]) -> Camera:
+def camera(focal_px, size_px):
     """Without distortion, principal point in the middle."""
     middle = [size_px[0] / 2, size_px[1] / 2]
     return Camera(
@@ -49,9 +25,7 @@ def camera(focal_px: float, size_px: tuple[int, int]) -> Camera:
     )
 
 
-def seen(
-    scene: Scene, lens: Camera, T_wcs_ccs: Rigid, *, sun: Sun = NOON, waves: Waves | None = None
-) -> np.ndarray:
+def seen(scene, lens, T_wcs_ccs, *, sun=NOON, waves=None):
     """Linear light (h, w, 3)."""
     renderer = Renderer(World(scene, None, NOON), LensRays(lens), waves=waves, boat=None, clouds=False)
     return renderer.see(T_wcs_ccs, np.eye(3), t_s=0.0, grain=1)
@@ -61,12 +35,13 @@ def seen(
 
 
 def test_a_known_board_appears_where_the_camera_says():
-    board = quad([[-1.0, 10.0, 4.0], [1.0, 10.0, 4.0], [1.0, 10.0, 5.0], [-1.0, 10.0, 5.0]])
+    board, empty = (sheet([0, north, 4.5], [1, 0, 0], [0, 0, 0.5]) for north in (10, -10))
     lens, pose = camera(200.0, (160, 120)), looking(np.array([0.5, 0.0, 3.0]), np.array([0.7, 10.0, 4.0]))
-    empty = quad([[-1.0, -10.0, 4.0], [1.0, -10.0, 4.0], [1.0, -10.0, 5.0], [-1.0, -10.0, 5.0]])
-    with_it, without = (seen(made((q, Material.CONCRETE)), lens, pose) for q in (board, empty))
+    with_it, without = (
+        seen(scene_of((q, Material.CONCRETE), level_m=0.0), lens, pose) for q in (board, empty)
+    )
     rows, columns = np.nonzero(np.abs(with_it - without).max(axis=2) > 1e-3)
-    corner = lens.project(pose.inverse().apply(board))
+    corner = lens.project(pose.inverse().apply(board[0]))
     # water mirrors the board far below it
     mine = rows < 100
     # A pixel shows the board if a part of it does: a pixel at each side.
@@ -84,13 +59,14 @@ def test_a_known_board_appears_where_the_camera_says():
 
 
 def test_a_lid_casts_a_shadow_where_the_sun_says():
-    world = World(made((GROUND, Material.CONCRETE), (LID, Material.WALL)), None, NOON)
+    ground, lid = sheet([0, 0, 1], [50, 0, 0], [0, 50, 0]), sheet([0, 10, 4], [2, 0, 0], [0, 2, 0])
+    world = World(scene_of((ground, Material.CONCRETE), (lid, Material.WALL), level_m=0.0), None, NOON)
     # Sun from the south at 60 degrees, lid 3 m up: its shadow is moved north by 3 / tan 60.
     shift = 3.0 / np.tan(np.deg2rad(60.0))
     places = [(0.0, 10.0), (1.99, 11.99), (-1.99, 8.01), (2.01, 10.0), (0.0, 12.01), (0.0, 7.99)]
-    ground = np.array([[east, north + shift, 1.0] for east, north in places])
-    up = np.tile([0.0, 0.0, 1.0], (len(ground), 1))
-    assert world.sunlit(ground, up).tolist() == [0, 0, 0, 1, 1, 1]
+    below = np.array([[east, north + shift, 1.0] for east, north in places])
+    up = np.tile([0.0, 0.0, 1.0], (len(below), 1))
+    assert world.sunlit(below, up).tolist() == [0, 0, 0, 1, 1, 1]
 
 
 def test_the_sun_stands_where_almanacs_say():
@@ -114,8 +90,8 @@ def test_the_sun_stands_where_almanacs_say():
 
 
 def test_calm_water_mirrors_a_board_and_waves_blur_the_mirror():
-    board = quad([[-30.0, 20.0, -1.0], [30.0, 20.0, -1.0], [30.0, 20.0, 6.0], [-30.0, 20.0, 6.0]])
-    scene, lens = made((board, Material.ROOF)), camera(120.0, (120, 100))
+    board = sheet([0, 20, 2.5], [30, 0, 0], [0, 0, 3.5])
+    scene, lens = scene_of((board, Material.ROOF), level_m=0.0), camera(120.0, (120, 100))
     pose = looking(np.array([0.0, 0.0, 2.0]), np.array([0.0, 20.0, 1.0]))
     calm, rippled = (seen(scene, lens, pose, waves=waves) for waves in (None, RIPPLED))
     ray = LensRays(lens).rays_ccs.astype(np.float64) @ pose.R.T
@@ -127,6 +103,3 @@ def test_calm_water_mirrors_a_board_and_waves_blur_the_mirror():
     sky_part = water & (height > 7.0)
     spread = [np.std(light[sky_part].mean(axis=1)) for light in (calm, rippled)]
     assert spread[1] > 1.3 * spread[0]
-
-
-# ---------------------------------------------------------------- helpers

@@ -1,44 +1,27 @@
 """Footprint, echoes, receiver, water and boat on surfaces that are simple enough to calculate."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy import stats
 
-from thalweg.core import ArrayF, ArrayI
-from thalweg.core.geometry import RayCaster
+from tests.lab.sheets import scene_of, sheet
 from thalweg_lab.instruments import EchoKind
-from thalweg_lab.instruments.footprint import (
-    Beam,
-    Echoes,
-    ShotRandom,
-    Surfaces,
-    choose,
-    echoes_of,
-    part_of,
-    seen,
-)
+from thalweg_lab.instruments.footprint import Beam, ShotRandom, Surfaces, choose, echoes_of, part_of, seen
 from thalweg_lab.instruments.lidar import ELEVATION_RAD, REFRACTIVE_INDEX, ghosts, overlap
 from thalweg_lab.river import REFLECTANCE, Hull, Material, Waves, fresnel
 
 DIVERGENCE = 0.003
 
 
-def quad(corner: ArrayF, a: ArrayF, b: ArrayF) -> tuple[ArrayF, ArrayI]:
-    """A parallelogram as two triangles."""
-    return np.array([corner, corner + a, corner + a + b, corner + b]), np.array([[0, 1, 2], [0, 2, 3]])
-
-
-def surfaces(
-    *quads: tuple[ArrayF, ArrayI], material: tuple[Material, ...], level_m: float = -100.0
-) -> Surfaces:
+def surfaces(*parts, level_m=-100.0):
     """Walls of which each has a material; what lies below 0.5 m above the water is wet."""
-    first = np.cumsum([0] + [len(v) for v, _ in quads])
+    scene = scene_of(*parts)
     return Surfaces(
-        caster=RayCaster(
-            np.concatenate([v for v, _ in quads]),
-            np.concatenate([t + n for (_, t), n in zip(quads, first[:-1], strict=True)]),
-        ),
-        material=np.repeat(np.array(material, dtype=np.uint8), 2),
+        caster=scene.caster(),
+        material=scene.material,
         reflectance=REFLECTANCE,
         water_level_m=level_m,
         wet_band_m=0.5,
@@ -46,7 +29,7 @@ def surfaces(
     )
 
 
-def beam(cells: int, *, mixed: bool = True, divergence: float = DIVERGENCE) -> Beam:
+def beam(cells, *, mixed=True, divergence=DIVERGENCE):
     return Beam(
         divergence_rad=divergence,
         cells=cells,
@@ -57,7 +40,7 @@ def beam(cells: int, *, mixed: bool = True, divergence: float = DIVERGENCE) -> B
     )
 
 
-def look(scene: Surfaces, how: Beam, n: int, direction: ArrayF, origin: ArrayF) -> tuple[Echoes, ArrayI]:
+def look(scene, how, n, direction, origin):
     """Echoes of n equal beams, and the numbers of those whose first sub-ray meets anything."""
     d, o, shot = np.tile(direction, (n, 1)), np.tile(origin, (n, 1)), np.arange(n)
     cell = how.first_cell(d, shot)
@@ -66,7 +49,7 @@ def look(scene: Surfaces, how: Beam, n: int, direction: ArrayF, origin: ArrayF) 
     return echoes_of(scene, how, o[met], d[met], shot[met], cell[met], part_of(hits, met)), met
 
 
-WALL = quad(np.array([-50.0, 0, -50]), np.array([100.0, 0, 0]), np.array([0, 0, 100.0]))
+WALL = sheet([0, 0, 0], [50, 0, 0], [0, 0, 50])
 """The plane y = 0; the sensor looks along +y."""
 
 
@@ -75,7 +58,7 @@ def test_echoes_scatter_in_the_footprint_as_stated(cells, range_m):
     incidence = np.deg2rad(60.0)
     direction = np.array([np.sin(incidence), np.cos(incidence), 0.0])
     origin = -range_m * direction
-    scene = surfaces(WALL, material=(Material.SOIL,))
+    scene = surfaces((WALL, Material.SOIL))
     found, met = look(scene, beam(cells), 40_000, direction, origin)
     assert len(met) == 40_000
     assert not found.there[:, 1:].any()
@@ -85,22 +68,22 @@ def test_echoes_scatter_in_the_footprint_as_stated(cells, range_m):
     across = np.stack([off @ np.array([np.cos(incidence), -np.sin(incidence), 0.0]), off[:, 2]], axis=1)
     sigma = DIVERGENCE * range_m / 4 * np.sqrt(2 / (cells + 1))
     # n = 40,000 with a kurtosis of 3 at most: known to 0.35 %; five times that, and 0.3 % of perspective.
-    np.testing.assert_allclose(np.std(across, axis=0), sigma, rtol=0.02)
+    assert_allclose(np.std(across, axis=0), sigma, rtol=0.02)
     assert np.all(np.abs(np.mean(across, axis=0)) < 5 * sigma / 200 + 0.003 * sigma)
     # A footprint on an inclined plane spreads the ranges by tan(incidence).
     spread = np.std(found.range_m[:, 0])
     assert spread == pytest.approx(sigma * np.tan(incidence), rel=0.02)
     # Speckle changes where the echo arises, not how strong it is.
     expected = REFLECTANCE[Material.SOIL] * np.cos(incidence)
-    np.testing.assert_allclose(found.strength[:, 0], expected, rtol=0.006)
+    assert_allclose(found.strength[:, 0], expected, rtol=0.006)
     assert set(found.kind[:, 0]) == {EchoKind.SURFACE}
 
 
-def edge(gap_m: float) -> Surfaces:
+def edge(gap_m):
     """A wall 20 m away that fills the left half of the beams, and another one ``gap_m`` behind it."""
-    near = quad(np.array([-5.0, 20, -5]), np.array([5.0, 0, 0]), np.array([0, 0, 10.0]))
-    far = quad(np.array([-5.0, 20 + gap_m, -5]), np.array([10.0, 0, 0]), np.array([0, 0, 10.0]))
-    return surfaces(near, far, material=(Material.SOIL, Material.SOIL))
+    near = sheet([-2.5, 20, 0], [2.5, 0, 0], [0, 0, 5])
+    far = sheet([0, 20 + gap_m, 0], [5, 0, 0], [0, 0, 5])
+    return surfaces((near, Material.SOIL), (far, Material.SOIL))
 
 
 AHEAD, HERE = np.array([0.0, 1, 0]), np.zeros(3)
@@ -120,12 +103,12 @@ def test_mixed_pixels_lie_between_the_two_surfaces_of_an_edge():
     assert np.all((r > 19.9999) & (r < 20.6001))
     # By symmetry the centre of energy lies in the middle on average.
     assert np.mean(r) == pytest.approx(20.3, abs=0.01)
-    np.testing.assert_allclose(found.point_wcs_m[:, 0, 1], r, atol=1e-4)
+    assert_allclose(found.point_wcs_m[:, 0, 1], r, atol=1e-4)
     brightest, _ = look(edge(0.6), beam(3, mixed=False), 20_000, AHEAD, HERE)
     two = brightest.range_m[:, 0]
     assert np.all((np.abs(two - 20.0) < 1e-3) | (np.abs(two - 20.6) < 1e-3))
     assert set(brightest.kind[:, 0]) == {EchoKind.SURFACE}
-    np.testing.assert_allclose(brightest.strength, found.strength)
+    assert_allclose(brightest.strength, found.strength)
     # The brightest cell decides: on its side of the middle if it has more than half of the energy.
     assert np.mean((two > 20.3) == (r > 20.3)) > 0.9
 
@@ -134,21 +117,18 @@ def test_surfaces_beyond_a_pulse_length_give_echoes_of_their_own():
     found, _ = look(edge(1.5), beam(3), 20_000, AHEAD, HERE)
     two = found.there[:, 1]
     assert np.mean(two) == pytest.approx(0.75, abs=0.015)
-    np.testing.assert_allclose(found.range_m[two, 0], 20.0, atol=1e-3)
-    np.testing.assert_allclose(found.range_m[two, 1], 21.5, atol=1e-3)
+    assert_allclose(found.range_m[two, 0], 20.0, atol=1e-3)
+    assert_allclose(found.range_m[two, 1], 21.5, atol=1e-3)
     # Both share the energy of the beam; each has half of it on average.
     total = found.strength.sum(axis=1)
-    np.testing.assert_allclose(total, REFLECTANCE[Material.SOIL], rtol=1e-4)
+    assert_allclose(total, REFLECTANCE[Material.SOIL], rtol=1e-4)
     assert np.mean((found.strength[:, 0] / total)[two]) == pytest.approx(0.5, abs=0.01)
     assert not found.kind.any()
 
 
 def test_a_twig_returns_the_share_of_shots_that_it_fills():
     # 8 mm in a footprint of 60 mm at 20 m: the share of the disc between two chords.
-    twig = surfaces(
-        quad(np.array([-0.004, 20, -5]), np.array([0.008, 0, 0]), np.array([0, 0, 10.0])),
-        material=(Material.WOOD,),
-    )
+    twig = surfaces((sheet([0, 20, 0], [0.004, 0, 0], [0, 0, 5]), Material.WOOD))
     n = 50_000
     found, met = look(twig, beam(3), n, AHEAD, HERE)
     x = 0.004 / 0.030
@@ -160,25 +140,16 @@ def test_a_twig_returns_the_share_of_shots_that_it_fills():
 
 
 def test_wet_ground_is_darker_and_water_gives_no_echo():
-    ground = quad(np.array([-5.0, 20, -5]), np.array([10.0, 0, 0]), np.array([0, 0, 10.0]))
-    dry = surfaces(ground, material=(Material.STONE,))
-    wet = surfaces(ground, material=(Material.STONE,), level_m=0.0)
+    ground = sheet([0, 20, 0], [5, 0, 0], [0, 0, 5]), Material.STONE
+    dry, wet = surfaces(ground), surfaces(ground, level_m=0.0)
     for up, ratio in ((0.45, 0.5), (0.55, 1.0)):
         direction = np.array([0, 20.0, up]) / np.hypot(20, up)
         a, b = (look(s, beam(3, divergence=1e-4), 10, direction, HERE)[0] for s in (dry, wet))
-        np.testing.assert_allclose(b.strength[:, 0] / a.strength[:, 0], ratio)
-    half = edge(0.6)
-    water = Surfaces(
-        caster=half.caster,
-        material=np.array([1, 1, 7, 7], dtype=np.uint8),
-        reflectance=REFLECTANCE,
-        water_level_m=-100.0,
-        wet_band_m=0.0,
-        wet_reflectance=1.0,
-    )
-    found, _ = look(water, beam(3), 5000, AHEAD, HERE)
+        assert_allclose(b.strength[:, 0] / a.strength[:, 0], ratio)
+    water = np.array([1, 1, 7, 7], dtype=np.uint8)
+    found, _ = look(replace(edge(0.6), material=water), beam(3), 5000, AHEAD, HERE)
     on_ground = found.there[:, 0]
-    np.testing.assert_allclose(found.range_m[on_ground, 0], 20.0, atol=1e-3)
+    assert_allclose(found.range_m[on_ground, 0], 20.0, atol=1e-3)
     assert np.mean(found.strength[on_ground, 0]) < 0.8 * REFLECTANCE[Material.SOIL]
 
 
@@ -224,15 +195,15 @@ def test_water_reflects_after_fresnel():
     brewster = np.arctan(1.33)
     transmitted = np.arcsin(np.sin(brewster) / 1.33)
     expected = [0.33**2 / 2.33**2, 0.5 * np.sin(brewster - transmitted) ** 2, 1.0]
-    np.testing.assert_allclose(fresnel(np.array([1.0, np.cos(brewster), 0.0]), 1.33), expected, atol=1e-12)
+    assert_allclose(fresnel(np.array([1.0, np.cos(brewster), 0.0]), 1.33), expected, atol=1e-12)
     rising = fresnel(np.linspace(1, 0, 200), 1.33)
     assert np.all(np.diff(rising[20:]) > 0)
 
 
 def test_a_flat_mirror_shows_the_bank_upside_down():
-    bank = quad(np.array([-50.0, 20, 0]), np.array([100.0, 0, 0]), np.array([0, 0, 10.0]))
-    water = quad(np.array([-50.0, -50, 0]), np.array([100.0, 0, 0]), np.array([0, 70.0, 0]))
-    scene = surfaces(bank, water, material=(Material.WALL, Material.WATER))
+    bank = sheet([0, 20, 5], [50, 0, 0], [0, 0, 5])
+    water = sheet([0, -15, 0], [50, 0, 0], [0, 35, 0])
+    scene = surfaces((bank, Material.WALL), (water, Material.WATER))
     down = np.deg2rad([2.0, 5.0, 10.0, 20.0, 40.0])
     direction = np.stack([0.2 * np.cos(down), 0.98**0.5 * np.cos(down), -np.sin(down)], axis=1)
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
@@ -240,11 +211,11 @@ def test_a_flat_mirror_shows_the_bank_upside_down():
     way = -0.45 / direction[:, 2]
     flat = ghosts(scene, Waves.draw(1, rms_slope=0.0), origin, direction, way, np.zeros(5), DIVERGENCE)
     apparent = origin + flat.range_m[:, None] * direction
-    np.testing.assert_allclose((apparent * [1, 1, -1])[:4], flat.point_wcs_m[:4], atol=1e-4)
-    np.testing.assert_allclose(flat.point_wcs_m[:4, 1], 20.0, atol=1e-4)
+    assert_allclose((apparent * [1, 1, -1])[:4], flat.point_wcs_m[:4], atol=1e-4)
+    assert_allclose(flat.point_wcs_m[:4, 1], 20.0, atol=1e-4)
     cosine = direction[:, 1]
     expected = fresnel(-direction[:, 2], REFRACTIVE_INDEX) ** 2 * REFLECTANCE[Material.WALL] * cosine
-    np.testing.assert_allclose(flat.strength[:4], expected[:4], rtol=1e-5)
+    assert_allclose(flat.strength[:4], expected[:4], rtol=1e-5)
     # The steepest one passes over the bank.
     assert not np.isfinite(flat.range_m[4])
     assert flat.strength[4] == 0
@@ -255,12 +226,12 @@ def test_a_flat_mirror_shows_the_bank_upside_down():
 def test_light_that_waves_scatter_is_missing():
     c = np.array([1.0, 0.5, 0.1])
     assert overlap(0.0, np.full(3, 0.01), c).tolist() == [1.0, 1.0, 1.0]
-    np.testing.assert_allclose(overlap(DIVERGENCE, np.zeros(3), c), 1.0)
+    assert_allclose(overlap(DIVERGENCE, np.zeros(3), c), 1.0)
     # A surface on the water is met before the light has spread.
-    np.testing.assert_allclose(overlap(DIVERGENCE, np.full(3, 0.02**2), c, 0.0), 1.0)
+    assert_allclose(overlap(DIVERGENCE, np.full(3, 0.02**2), c, 0.0), 1.0)
     # Much scatter: the ratio of the solid angles, v / (d d cos i) with d = 2 sigma a direction.
     v, variance = DIVERGENCE**2 / 16, 2 * 0.02**2
-    np.testing.assert_allclose(overlap(DIVERGENCE, np.full(3, variance), c), v / (4 * 0.02**2 * c), rtol=0.02)
+    assert_allclose(overlap(DIVERGENCE, np.full(3, variance), c), v / (4 * 0.02**2 * c), rtol=0.02)
 
 
 @pytest.mark.parametrize(
@@ -280,7 +251,7 @@ def test_rays_by_way_of_facets_find_the_same_share(incidence_deg, slope, behind_
     aside = np.array([0.0, 1.0, 0.0])
     out = middle * [1, 1, -1]
 
-    def spot(sigma_slope: float) -> np.ndarray:
+    def spot(sigma_slope):
         """Places (n, 2) on the surface, metres off the middle ray; the scanner is at the origin."""
         a = np.sqrt(v) * rng.standard_normal((n, 2))
         ray = middle + a[:, :1] * along + a[:, 1:] * aside
@@ -299,9 +270,9 @@ def test_rays_by_way_of_facets_find_the_same_share(incidence_deg, slope, behind_
     cell = np.sqrt(v) * (before_m + behind_m) / 3
     edges = cell * np.arange(-150.5, 151)
 
-    def seen(sigma_slope: float) -> float:
+    def seen(sigma_slope):
         light, view = (np.histogram2d(*spot(sigma_slope).T, bins=[edges, edges])[0] for _ in range(2))
-        return float(np.sum(light * view))
+        return np.sum(light * view)
 
     found = seen(slope) / seen(0.0)
     said = overlap(
@@ -337,8 +308,8 @@ def test_numbers_of_shots_depend_on_nothing_else():
     a, b = ShotRandom.of(1, "lidar noise"), ShotRandom.of(1, "lidar lateral")
     shot = np.arange(100_000)
     u, v = a.uniform(shot, 4), b.uniform(shot, 4)
-    np.testing.assert_array_equal(u[500:600, :2], a.uniform(shot[500:600], 2))
-    np.testing.assert_array_equal(a.normal(shot, 3)[77:99, :2], a.normal(shot[77:99], 2))
+    assert_array_equal(u[500:600, :2], a.uniform(shot[500:600], 2))
+    assert_array_equal(a.normal(shot, 3)[77:99, :2], a.normal(shot[77:99], 2))
     # p values of fixed seeds: the test is deterministic and would fail by chance once in 10,000 seeds.
     for numbers in (u[:, 0], u[:, 3], v[:, 1]):
         assert stats.kstest(numbers, "uniform").pvalue > 1e-4

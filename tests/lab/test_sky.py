@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
-from tests.lab import sheets
-from thalweg.core import ArrayF, LocalFrame
+from tests.lab.conftest import FRAME, SEED
+from tests.lab.sheets import GROUND, scene_of, sheet
 from thalweg_lab.instruments import Solution
 from thalweg_lab.instruments.gnss import (
     Constellation,
@@ -17,12 +18,8 @@ from thalweg_lab.instruments.gnss import (
 from thalweg_lab.river import Material
 from thalweg_lab.settings import TwinConfig
 
-FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
-SEED = 5
 T0 = 304_800_000.0
 GNSS = TwinConfig.of_size("tiny", gnss={"shadow": True}).gnss
-
-GROUND, scene_of, sheet = sheets.GROUND, sheets.scene_of, sheets.sheet
 
 
 def test_some_twenty_satellites_cross_the_sky_slowly():
@@ -31,7 +28,7 @@ def test_some_twenty_satellites_cross_the_sky_slowly():
     for seed in range(5):
         sky = Constellation.draw(seed)
         e = sky.directions_wcs(FRAME, t)
-        np.testing.assert_allclose(np.linalg.norm(e, axis=-1), 1.0, atol=1e-12)
+        assert_allclose(np.linalg.norm(e, axis=-1), 1.0, atol=1e-12)
         above = e[..., 2] > low
         assert above.sum(axis=1).min() >= 14
         assert above.sum(axis=1).max() <= 30
@@ -49,7 +46,7 @@ def test_some_twenty_satellites_cross_the_sky_slowly():
 def test_periods_and_radii_of_the_orbits():
     sky = Constellation.draw(1)
     r = np.linalg.norm(sky.ecef_m(np.array([0.0])), axis=-1)[0]
-    np.testing.assert_allclose(r, sky.axis_m, rtol=1e-12)
+    assert_allclose(r, sky.axis_m, rtol=1e-12)
     # Half a sidereal day for GPS: after a whole one a satellite is back over the same place.
     day = 86_164.0905
     there = sky.ecef_m(np.array([T0, T0 + day]))[:, sky.system == 0]
@@ -58,7 +55,7 @@ def test_periods_and_radii_of_the_orbits():
     inclination = np.rad2deg(
         np.arcsin(np.abs(sky.ecef_m(T0 + np.arange(0, 60_000, 100.0))[..., 2]).max(0) / r)
     )
-    np.testing.assert_allclose(inclination, np.array([55.0, 64.8, 56.0])[sky.system], atol=0.1)
+    assert_allclose(inclination, np.array([55.0, 64.8, 56.0])[sky.system], atol=0.1)
 
 
 def test_dilution_of_a_geometry_that_one_can_reckon():
@@ -66,10 +63,10 @@ def test_dilution_of_a_geometry_that_one_can_reckon():
     a = np.deg2rad([0.0, 120.0, 240.0])
     e = np.concatenate([[[0.0, 0.0, 1.0]], np.stack([np.sin(a), np.cos(a), np.zeros(3)], axis=1)])[None]
     one = dilution(e, np.zeros(4, dtype=int), np.ones((1, 4)))
-    np.testing.assert_allclose(one[0] ** 2, [2 / 3, 2 / 3, 4 / 3], rtol=1e-6)
+    assert_allclose(one[0] ** 2, [2 / 3, 2 / 3, 4 / 3], rtol=1e-6)
     # A quarter of the weight doubles all; the zenith's satellite alone in its system says nothing of height.
     quarter = dilution(e, np.zeros(4, dtype=int), np.full((1, 4), 0.25))
-    np.testing.assert_allclose(quarter, 2 * one, rtol=1e-6)
+    assert_allclose(quarter, 2 * one, rtol=1e-6)
     assert dilution(e, np.array([1, 0, 0, 0]), np.ones((1, 4)))[0, 2] > 1000.0
     assert dilution(e, np.zeros(4, dtype=int), np.array([[1.0, 1.0, 1.0, 0.0]]))[0].max() > 1000.0
 
@@ -77,7 +74,7 @@ def test_dilution_of_a_geometry_that_one_can_reckon():
 def test_what_blocks_what_dims_and_what_reflects():
     t, place = np.array([T0]), np.array([[0.0, 0.0, 1.0]])
 
-    def look(*parts: tuple[tuple[ArrayF, np.ndarray], Material]) -> SkyView:
+    def look(*parts):
         return look_at_sky(GNSS, SEED, FRAME, scene_of(GROUND, *parts), t, place)
 
     e = Constellation.draw(SEED).directions_wcs(FRAME, t)[0]
@@ -85,7 +82,7 @@ def test_what_blocks_what_dims_and_what_reflects():
     n = int(up.sum())
     free = look()
     assert (free.free[0], free.dimmed[0], free.blocked[0], free.reflected[0]) == (n, 0, 0, 0)
-    np.testing.assert_array_equal(free.growth, np.ones((1, 3)))
+    assert_array_equal(free.growth, np.ones((1, 3)))
     # A wall in the east, 5 m away, 400 m long and as high as it likes.
     east = sheet([5, 0, 0], [0, 400, 0], [0, 0, 400])
     behind = int(np.sum(up & (e[:, 0] > 0) & (np.abs(e[:, 1]) < 80 * e[:, 0]) & (e[:, 2] < 79.8 * e[:, 0])))
@@ -108,23 +105,9 @@ def test_what_blocks_what_dims_and_what_reflects():
     assert multipath_share(wet, 0.5)[0] == pytest.approx(0.5 * low / n)
 
 
-def view_of(free: list[int], dilution_3d: float = 1.5, dimmed: int = 0, blocked: int = 0) -> SkyView:
-    n = len(free)
-    zero = np.zeros(n, dtype=np.int64)
-    d = np.full((n, 3), dilution_3d / np.sqrt(3))
-    return SkyView(
-        t_gps_s=T0 + np.arange(n),
-        free=np.array(free),
-        dimmed=zero + dimmed,
-        blocked=zero + blocked,
-        reflected=zero,
-        dilution=d,
-        growth=np.ones((n, 3)),
-    )
-
-
-def test_thresholds_of_the_solutions():
-    for free, dimmed, blocked, pdop, kind in [
+@pytest.mark.parametrize(
+    ("free", "dimmed", "blocked", "pdop", "kind"),
+    [
         (6, 0, 0, 2.9, "FIXED"),
         (6, 0, 0, 3.1, "FLOAT"),
         (5, 3, 0, 2.0, "FLOAT"),
@@ -138,6 +121,18 @@ def test_thresholds_of_the_solutions():
         (4, 0, 0, 31.0, "NONE"),
         (3, 0, 0, 1.0, "NONE"),
         (12, 0, 0, 31.0, "NONE"),
-    ]:
-        found = solutions(view_of([free], pdop, dimmed, blocked), 10.0, both_ways=False)
-        assert Solution(int(found[0])).name == kind, (free, dimmed, blocked, pdop)
+    ],
+)
+def test_thresholds_of_the_solutions(free, dimmed, blocked, pdop, kind):
+    none = np.zeros(1, dtype=np.int64)
+    view = SkyView(
+        t_gps_s=np.array([T0]),
+        free=none + free,
+        dimmed=none + dimmed,
+        blocked=none + blocked,
+        reflected=none,
+        dilution=np.full((1, 3), pdop / np.sqrt(3)),
+        growth=np.ones((1, 3)),
+    )
+    found = solutions(view, 10.0, both_ways=False)
+    assert Solution(int(found[0])).name == kind

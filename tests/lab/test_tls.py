@@ -1,25 +1,22 @@
 """Terrestrial scans: spacing, noise and footprint as stated, leaves at 1550 nm, rays only where of use."""
 
-from typing import Any
-
 import laspy
 import numpy as np
 import pytest
 
-from thalweg.core import ArrayF, ArrayI, LocalFrame, laz_header
-from thalweg.core.geometry import RayCaster
+from tests.lab.conftest import FRAME, SEED
+from tests.lab.sheets import scene_of, sheet
+from thalweg.core import laz_header
 from thalweg_lab.instruments import simulate_tls
 from thalweg_lab.instruments.tls import Station, station_positions
 from thalweg_lab.reach import River
 from thalweg_lab.river import REFLECTANCE_1550, Material, Scene
 from thalweg_lab.settings import TwinConfig, TwinTls
 
-SEED = 5
-FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
-QUIET: dict[str, Any] = {"sigma_50m_m": 0.0, "sigma_floor_m": 0.0, "divergence_mrad": 0.0}
+QUIET = {"sigma_50m_m": 0.0, "sigma_floor_m": 0.0, "divergence_mrad": 0.0}
 
 
-def at(scene: Scene, centre: ArrayF, caster: RayCaster, **changes: Any) -> Station:
+def at(scene, centre, caster, **changes):
     """A station with other settings, its random numbers being those of number 1."""
     return Station.standing(TwinTls(**changes), SEED, 1, centre, scene, caster)
 
@@ -33,24 +30,16 @@ def caster(scene):
 def centre(twin, caster):
     """The middle one of three stations."""
     places = station_positions(twin.config, River(twin.config.scene, SEED), 3, caster)
-    return np.asarray(places[1])
+    return places[1]
 
 
-def facing_wall(distance_m: float) -> tuple[Any, RayCaster, ArrayF, ArrayI]:
+def facing_wall(distance_m):
     """A wall square to +y, and 10,000 rays that meet it within 0.2 degrees of the middle."""
-    wall = np.array(
-        [[-50.0, distance_m, -50], [50, distance_m, -50], [50, distance_m, 50], [-50, distance_m, 50]]
-    )
-    triangles = np.array([[0, 1, 2], [0, 2, 3]])
-
-    class Wall:
-        material = np.array([Material.WALL] * 2, dtype=np.uint8)
-        water_level_m = -100.0
-
-    rng = np.random.default_rng(1)
-    direction = np.column_stack([rng.uniform(-0.003, 0.003, (10_000, 1)), np.ones(10_000), np.zeros(10_000)])
+    wall = sheet([0, distance_m, 0], [50, 0, 0], [0, 0, 50])
+    aside = np.random.default_rng(1).uniform(-0.003, 0.003, (10_000, 1))
+    direction = np.column_stack([aside, np.ones(10_000), np.zeros(10_000)])
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    return Wall(), RayCaster(wall, triangles), direction, np.arange(10_000)
+    return scene_of((wall, Material.WALL), level_m=-100.0), direction, np.arange(10_000)
 
 
 @pytest.mark.parametrize(
@@ -69,8 +58,10 @@ def facing_wall(distance_m: float) -> tuple[Any, RayCaster, ArrayF, ArrayI]:
     ],
 )
 def test_noise_is_three_millimetres_at_50_m(floor_m, distance_m, sigma_m):
-    wall, caster, direction, ray = facing_wall(distance_m)
-    found = at(wall, np.zeros(3), caster, divergence_mrad=0.0, sigma_floor_m=floor_m).shoot(ray, direction)
+    wall, direction, ray = facing_wall(distance_m)
+    found = at(wall, np.zeros(3), wall.caster(), divergence_mrad=0.0, sigma_floor_m=floor_m).shoot(
+        ray, direction
+    )
     error = found.points_wcs_m - distance_m * direction / direction[:, 1:2]
     # P2 5.1: 3 mm in 3D at 50 m. n = 10,000: 0.7 % a component, 0.4 % in all; four times that.
     assert np.sqrt(np.mean(np.sum(error**2, axis=1))) == pytest.approx(sigma_m, rel=0.02)
@@ -102,11 +93,11 @@ def test_stations_stand_where_they_see_the_other_bank(twin, caster):
     chosen = station_positions(twin.config, river, 3, caster)
     assert np.all(np.linalg.norm((nominal - chosen)[:, :2], axis=1) < 3.0)
 
-    def view(place: ArrayF) -> float:
+    def view(place):
         a = -np.pi / 2 + np.linspace(-0.7, 0.7, 141)
         e = np.deg2rad([-3.0, 0.0, 3.0])[:, None] + 0 * a
         rays = np.stack([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)], axis=-1).reshape(-1, 3)
-        return float(np.mean(caster.cast(place, rays).t_hit_m > 8.0))
+        return np.mean(caster.cast(place, rays).t_hit_m > 8.0)
 
     assert all(view(b) >= view(a) - 0.05 for a, b in zip(nominal, chosen, strict=True))
     assert min(view(b) for b in chosen) > 0.5

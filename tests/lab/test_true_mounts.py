@@ -1,10 +1,10 @@
 """True mounts lie around the campaign's with the stated sigmas, and nothing else changes."""
 
 import json
-from typing import Any
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from thalweg.core import InputError
 from thalweg.settings.sections import Mounts
@@ -14,7 +14,7 @@ from thalweg_lab.voyage.truth import mount_errors
 SEEDS = 400
 
 
-def campaign(**lidar: Any) -> dict[str, Any]:
+def campaign(**lidar):
     """Mounts as a campaign file gives them, with sigmas that differ from each other."""
     mounts = Mounts().model_dump(mode="json", exclude={"calibration"})
     mounts["lidar"] |= {"lever_ics_m": [-0.35, 0.0, -0.25], **lidar}
@@ -22,7 +22,7 @@ def campaign(**lidar: Any) -> dict[str, Any]:
     return mounts
 
 
-def drawn(mounts: dict[str, Any], sensor: str) -> np.ndarray:
+def drawn(mounts, sensor):
     """Errors over the seeds, angles in degrees first."""
     rows = []
     for seed in range(SEEDS):
@@ -36,11 +36,11 @@ def test_errors_have_the_stated_sigmas_two_sided():
     lidar = drawn(campaign(), "lidar")
     sigmas = np.array([0.018, 0.009, 0.004, 0.0005, 0.0002, 0.0001])
     # 400 seeds: a sigma is known to 3.5 %, a mean to sigma / 20; four times that.
-    np.testing.assert_allclose(lidar.std(axis=0), sigmas, rtol=0.14)
+    assert_allclose(lidar.std(axis=0), sigmas, rtol=0.14)
     assert (np.abs(lidar.mean(axis=0)) < 4 * sigmas / 20).all()
     # Uncorrelated without a matrix: a correlation is known to 0.05.
     assert np.abs(np.corrcoef(lidar.T) - np.eye(6)).max() < 0.21
-    np.testing.assert_allclose(drawn(campaign(), "antenna").std(axis=0), [0.002, 0.003, 0.004], rtol=0.14)
+    assert_allclose(drawn(campaign(), "antenna").std(axis=0), [0.002, 0.003, 0.004], rtol=0.14)
 
 
 def test_correlations_of_the_calibration_are_kept():
@@ -49,11 +49,11 @@ def test_correlations_of_the_calibration_are_kept():
     C[1, 3] = C[3, 1] = 0.7
     found = np.corrcoef(drawn(campaign(correlation=C.tolist()), "lidar").T)
     # sigma of a correlation of 0 over 400 seeds: 0.05, less for the others.
-    np.testing.assert_allclose(found, C, atol=0.21)
+    assert_allclose(found, C, atol=0.21)
     fully = np.eye(6)
     fully[0, 2] = fully[2, 0] = 1.0
     errors = drawn(campaign(correlation=fully.tolist()), "lidar")
-    np.testing.assert_allclose(errors[:, 0] / 0.018, errors[:, 2] / 0.004, atol=1e-6)
+    assert_allclose(errors[:, 0] / 0.018, errors[:, 2] / 0.004, atol=1e-6)
 
 
 def test_the_file_beside_the_truth(tmp_path):
@@ -87,6 +87,6 @@ def test_sigmas_about_the_axes_of_the_body_turn_the_sensor_there():
         vectors.append(error["lidar"]["rotation_ics_deg"])
         levers.append(error["camera"]["lever_ics_m"])
     # 400 seeds: a sigma is known to 3.5 %; four times that.
-    np.testing.assert_allclose(np.std(vectors, axis=0), [0.5, 0.3, 0.2], rtol=0.14)
-    np.testing.assert_allclose(np.std(levers, axis=0), [0.01, 0.01, 0.01], rtol=0.14)
+    assert_allclose(np.std(vectors, axis=0), [0.5, 0.3, 0.2], rtol=0.14)
+    assert_allclose(np.std(levers, axis=0), [0.01, 0.01, 0.01], rtol=0.14)
     assert np.abs(np.corrcoef(np.transpose(vectors)) - np.eye(3)).max() < 0.21

@@ -5,17 +5,17 @@ import pandas as pd
 import pytest
 
 from tests.lab.conftest import ECHO_M, FRAME, SEED, short
+from tests.lab.sheets import bed, level
 from thalweg.calibration import echo_sounder
 from thalweg.core import read_table
 from thalweg.ingest.nmea import read_nmea
 from thalweg_lab.instruments import TRUE_SOUNDINGS, simulate_echo
-from thalweg_lab.river import Material, Scene
 from thalweg_lab.truth import compare_soundings
 
 N = 4000
 
 
-def pings(scale: float = 1.0, lag_s: float = 0.0) -> tuple[pd.DataFrame, np.ndarray, pd.DataFrame]:
+def pings(scale=1.0, lag_s=0.0):
     """Soundings whose white, slow and common parts are 3, 2 and 6 cm, their common error not drawn but 0."""
     rng = np.random.default_rng(4)
     stamp = 100.0 + 0.1 * np.arange(N)
@@ -89,16 +89,9 @@ def test_times_that_the_processing_moved_are_matched():
 def test_rows_are_pings_of_a_log_that_says_each_depth_twice(tmp_path):
     """The log of the twin, read and matched: each sounding finds its own ping, late or not."""
     config = short(echo={"sigma_m": 0.0, "latency_s": 0.35, "zeros": True, "no_bottom_share": 0.2})
-    Scene(
-        vertices_wcs_m=np.array([[-200, -200, -3.0], [200, -200, -3.0], [200, 200, -3.0], [-200, 200, -3.0]]),
-        triangles=np.array([[0, 1, 2], [0, 2, 3]]),
-        material=np.full(2, int(Material.BED), dtype=np.uint8),
-        water_level_m=0.0,
-    ).write(tmp_path / "scene.npz")
+    scene = bed(tmp_path, level(-3.0))
     log, table = tmp_path / "echo.nmea", tmp_path / "soundings.parquet"
-    simulate_echo(
-        config, SEED, FRAME, tmp_path / "scene.npz", log, lever_ics_echo_m=ECHO_M, out_soundings=table
-    )
+    simulate_echo(config, SEED, FRAME, scene, log, lever_ics_echo_m=ECHO_M, out_soundings=table)
     truth, _ = read_table(table, TRUE_SOUNDINGS)
     chosen, other = echo_sounder.pings_of(read_nmea([log]).depths)
     assert other == len(chosen) == len(truth)

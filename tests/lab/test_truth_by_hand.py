@@ -8,6 +8,7 @@ import pytest
 from pyproj import CRS
 
 from tests.lab.conftest import FRAME
+from tests.lab.sheets import scene_of, sheet
 from thalweg.accuracy import chi_square_band, independent_squares
 from thalweg.bathymetry import Banks, FlowLine, WaterLevel
 from thalweg.bathymetry.bed import BANDS
@@ -19,7 +20,7 @@ from thalweg.images.model import ImagePoses
 from thalweg.lidar import GAMMA
 from thalweg.lightsheet.scanning.world import BED_POINTS
 from thalweg.panorama import sphere_rays
-from thalweg_lab.river import Material, Scene
+from thalweg_lab.river import Material
 from thalweg_lab.truth import rig as rig_truth
 from thalweg_lab.truth.calibration import compare_clock, compare_interior
 from thalweg_lab.truth.points import (
@@ -68,6 +69,10 @@ def test_errors_of_a_lens_and_of_a_clock_have_their_signs_and_units():
 # ---------------------------------------------------------------- points
 
 
+def nmad(e):
+    return 1.4826 * np.median(np.abs(e - np.median(e)))
+
+
 def test_every_row_of_the_errors_of_points():
     """Six points: one beside the ground, one gross, four on bare ground at two ranges."""
     error = np.array([0.01, -0.02, 0.03, 0.0, 0.5, 9.0])
@@ -84,22 +89,21 @@ def test_every_row_of_the_errors_of_points():
     value = statistics.set_index(["points", "quantity"])
     sets = {"all": slice(0, 6), "bare ground with gross errors": slice(0, 5), "bare ground": slice(0, 4)}
     for points, of in sets.items():
-        e, s = error[of], sigma[of]
+        e, z, of_set = error[of], error[of] / sigma[of], value.loc[points]
         expected = {
-            "n": (len(e), "1"),
-            "bias": (e.mean(), "m"),
-            "std": (e.std(), "m"),
-            "rmse": (np.sqrt(np.mean(e**2)), "m"),
-            "median": (np.median(e), "m"),
-            "nmad": (1.4826 * np.median(np.abs(e - np.median(e))), "m"),
-            "p95": (np.percentile(np.abs(e), 95), "m"),
-            "predicted_rmse": (np.sqrt(np.mean(s**2)), "m"),
-            "normalised_squared_error": (np.mean((e / s) ** 2), "1"),
-            "normalised_nmad": (1.4826 * np.median(np.abs(e / s - np.median(e / s))), "1"),
+            "bias": e.mean(),
+            "std": e.std(),
+            "rmse": np.sqrt(np.mean(e**2)),
+            "median": np.median(e),
+            "nmad": nmad(e),
+            "p95": np.percentile(np.abs(e), 95),
+            "predicted_rmse": np.sqrt(np.mean(sigma[of] ** 2)),
         }
-        for quantity, (number, unit) in expected.items():
-            assert value.loc[(points, quantity), "value"] == pytest.approx(number, rel=1e-4), quantity
-            assert value.loc[(points, quantity), "unit"] == unit
+        plain = {"n": len(e), "normalised_squared_error": np.mean(z**2), "normalised_nmad": nmad(z)}
+        assert of_set["value"][[*expected]].to_dict() == pytest.approx(expected, rel=1e-4), points
+        assert of_set["value"][[*plain]].to_dict() == pytest.approx(plain, rel=1e-4), points
+        assert set(of_set["unit"][[*expected]]) == {"m"}
+        assert set(of_set["unit"][[*plain]]) == {"1"}
     n = independent_squares(errors.t_gps_s[:4], np.ones(4), 4.0)
     low, high = chi_square_band(n)
     bare = value.loc["bare ground"]["value"]
@@ -179,24 +183,28 @@ def test_a_strip_of_the_bed_is_judged_from_files(tmp_path):
 @pytest.fixture
 def valley(tmp_path):
     """Bed at -2 m between y = -5 and 5; beyond it soil that rises from -0.5 m by 1 in 10; a stone."""
-    x = 30.0
-    strips = [(-15.0, 0.5, -5.0, -0.5, Material.SOIL), (5.0, -0.5, 15.0, 0.5, Material.SOIL)]
-    strips += [(-5.0, -2.0, 5.0, -2.0, Material.BED), (-1.0, -1.5, 1.0, -1.5, Material.STONE)]
-    corners, triangles, material = [], [], []
-    for k, (y0, z0, y1, z1, what) in enumerate(strips):
-        corners += [[-x, y0, z0], [x, y0, z0], [x, y1, z1], [-x, y1, z1]]
-        triangles += [[4 * k, 4 * k + 1, 4 * k + 2], [4 * k, 4 * k + 2, 4 * k + 3]]
-        material += [int(what)] * 2
-    Scene(
-        vertices_wcs_m=np.array(corners),
-        triangles=np.array(triangles),
-        material=np.array(material, np.uint8),
-        water_level_m=0.0,
-    ).write(tmp_path / "scene.npz")
+    strips = [(-10, 5, 0, -0.5, Material.SOIL), (10, 5, 0, 0.5, Material.SOIL)]
+    strips += [(0, 5, -2, 0, Material.BED), (0, 1, -1.5, 0, Material.STONE)]
+    parts = [(sheet([0, y, z], [30, 0, 0], [0, half, rise]), what) for y, half, z, rise, what in strips]
+    scene_of(*parts, level_m=0.0).write(tmp_path / "scene.npz")
     return tmp_path / "scene.npz"
 
 
-def of(table: pd.DataFrame, name: str) -> tuple[list[float], set[int]]:
+def places_at(centres_m):
+    """Places (n, 2) in the frame of points on the map."""
+    return FRAME.from_map(np.column_stack([centres_m, np.full(len(centres_m), FRAME.h_ell_m)]), MAP)[:, :2]
+
+
+def map_height_m(places, up_m):
+    return FRAME.to_map(np.column_stack([places, np.broadcast_to(up_m, len(places))]), MAP)[:, 2]
+
+
+def figures(e, s, outside):
+    """What `of` shows of errors and their sigmas."""
+    return [e.mean(), np.sqrt(np.mean(e**2)), np.sqrt(np.mean(s**2)), np.mean((e / s) ** 2), outside]
+
+
+def of(table, name):
     rows = table[table["measure"].str.startswith(f"{name}: ")]
     assert [row.partition(": ")[2] for row in rows["measure"]] == [
         "mean error, m",
@@ -222,24 +230,9 @@ def test_soundings_bed_and_banks_beside_the_true_ground(valley, tmp_path):
     )
     # four cells of the bed, 10, -10, 20 and 30 cm too high, at 0.2, 0.7, 3.9 and 4.1 m to data
     corner = FRAME.to_map(np.array([[0.0, 0.0, 0.0]]), MAP)[0]
-    grid = Grid(
-        west_m=float(np.floor(corner[0])),
-        north_m=float(np.floor(corner[1])),
-        cell_m=1.0,
-        rows=2,
-        columns=2,
-        crs=MAP,
-    )
-    centres = grid.centres_m()
-    true = FRAME.to_map(
-        np.column_stack(
-            [
-                FRAME.from_map(np.column_stack([centres, np.full(4, FRAME.h_ell_m)]), MAP)[:, :2],
-                np.full(4, -2.0),
-            ]
-        ),
-        MAP,
-    )[:, 2]
+    west_m, north_m = np.floor(corner[:2]).tolist()
+    grid = Grid(west_m=west_m, north_m=north_m, cell_m=1.0, rows=2, columns=2, crs=MAP)
+    true = map_height_m(places_at(grid.centres_m()), -2.0)
     values = {
         "height_m": true + np.array([0.1, -0.1, 0.2, 0.3]),
         "sigma_m": np.array([0.03, 0.03, 0.06, 0.06]),
@@ -263,13 +256,12 @@ def test_soundings_bed_and_banks_beside_the_true_ground(valley, tmp_path):
         soundings, tmp_path / "bed.tif", Banks(table=banks, line=line), level, valley, FRAME
     )
     found, n = of(table, "soundings")
-    e = np.array([0.1, -0.1, 0.5])
-    expected = [e.mean(), np.sqrt(np.mean(e**2)), 0.13, np.mean(e**2) / 0.13**2, 1 / 3]
+    # 3, 4 and 12 cm
+    expected = figures(np.array([0.1, -0.1, 0.5]), np.full(3, 0.13), 1 / 3)
     assert found == pytest.approx(expected, abs=1e-3)
     assert n == {3}
     found, n = of(table, "bed")
-    e, s = np.array([0.1, -0.1, 0.2, 0.3]), np.array([0.05, 0.05, 0.1, 0.1])
-    expected = [e.mean(), np.sqrt(np.mean(e**2)), np.sqrt(np.mean(s**2)), np.mean((e / s) ** 2), 1.0]
+    expected = figures(np.array([0.1, -0.1, 0.2, 0.3]), np.array([0.05, 0.05, 0.1, 0.1]), 1.0)
     assert found == pytest.approx(expected, rel=0.01)
     assert n == {4}
     classes = {"0 to 0.5 m to data": 0.1, "0.5 to 1 m to data": -0.1, "2 to 4 m to data": 0.2}
@@ -289,11 +281,11 @@ def test_a_terrain_model_is_judged_by_its_sources(valley, tmp_path):
     centres = np.stack(
         np.meshgrid(corner[0] + np.arange(4) + 0.5, corner[1] - np.arange(16) - 0.5), -1
     ).reshape(-1, 2)
-    places = FRAME.from_map(np.column_stack([centres, np.full(len(centres), FRAME.h_ell_m)]), MAP)
+    places = places_at(centres)
     y = places[:, 1]
     bed = y < 5.0
     ground = np.where(bed, -2.0, -0.5 + 0.1 * (y - 5.0))
-    true = FRAME.to_map(np.column_stack([places[:, :2], ground]), MAP)[:, 2]
+    true = map_height_m(places, ground)
     row = np.repeat(np.arange(16), 4)
     first = row[bed].min()
     far = row < first - 5
@@ -314,16 +306,15 @@ def test_a_terrain_model_is_judged_by_its_sources(valley, tmp_path):
     origin = {"lat_deg": FRAME.lat_deg, "lon_deg": FRAME.lon_deg, "h_ell_m": FRAME.h_ell_m}
     judge_dtm(dtm=tmp_path / "dtm.tif", scene=valley, table=tmp_path / "t.csv", campaign={"origin": origin})
     table = pd.read_csv(tmp_path / "t.csv")
-    on_bed = int(bed.sum())
-    found, n = of(table, SOURCE_WORDS[Source.BED])
-    assert found == pytest.approx([0.1, 0.1, 0.05, 4.0, 1.0], abs=5e-3)
-    assert n == {on_bed}
-    found, n = of(table, f"{SOURCE_WORDS[Source.LIDAR]}, within 5 m of the bed")
-    assert found == pytest.approx([0.1, 0.1, 0.05, 4.0, 1.0], abs=5e-3)
-    assert n == {20}
-    found, n = of(table, f"{SOURCE_WORDS[Source.LIDAR]}, farther away")
-    assert found == pytest.approx([0.3, 0.3, 0.1, 9.0, 1.0], abs=5e-3)
-    assert n == {int(far.sum())}
+    lidar = SOURCE_WORDS[Source.LIDAR]
+    for name, expected, count in (
+        (SOURCE_WORDS[Source.BED], [0.1, 0.1, 0.05, 4.0, 1.0], bed.sum()),
+        (f"{lidar}, within 5 m of the bed", [0.1, 0.1, 0.05, 4.0, 1.0], 20),
+        (f"{lidar}, farther away", [0.3, 0.3, 0.1, 9.0, 1.0], far.sum()),
+    ):
+        found, n = of(table, name)
+        assert found == pytest.approx(expected, abs=5e-3), name
+        assert n == {count}
     # the model's step at the seam is the true one
     assert of(table, "steps at seams")[0][0] == pytest.approx(0.0, abs=2e-3)
 
@@ -334,23 +325,22 @@ def test_a_terrain_model_is_judged_by_its_sources(valley, tmp_path):
 def test_poses_of_a_rig_are_judged_by_their_images():
     cov = np.diag([0.01**2] * 3 + [1e-3**2] * 3)
 
-    def poses(
-        names: list[str], centres: list[list[float]], turns: list[float], oriented: list[bool]
-    ) -> ImagePoses:
+    def poses(names, centres, turns, oriented):
         n = len(names)
+        none = np.zeros(n)
         return ImagePoses(
             frame=FRAME,
             images=tuple(names),
             t_gps_s=np.arange(n, dtype=float),
-            sigma_t_s=np.zeros(n),
+            sigma_t_s=none,
             oriented=np.array(oriented),
             reasons=tuple("" if each else "no pose" for each in oriented),
             centre_wcs_m=np.array(centres),
             R_wcs_ccs=np.array([rotation_z(turn) for turn in turns]),
             cov_pose_wcs=np.tile(cov, (n, 1, 1)),
             cov_next=np.zeros((n, 6, 6)),
-            n_marks=np.zeros(n),
-            rms_px=np.zeros(n),
+            n_marks=none,
+            rms_px=none,
         )
 
     true = poses(["b", "a", "c"], [[1.0, 0, 0], [0.0, 0, 0], [2.0, 0, 0]], [0.1, 0.2, 0.3], [True] * 3)
@@ -363,9 +353,7 @@ def test_poses_of_a_rig_are_judged_by_their_images():
         "poses: largest rotation, deg",
     ]
     # 5 cm of 1 cm, and 1 cm of 1 cm with 2 mrad of 1 mrad
-    assert rows[0][1] == pytest.approx((25 / 6 + 5 / 6) / 2)
-    assert rows[1][1] == pytest.approx(0.05)
-    assert rows[2][1] == pytest.approx(np.rad2deg(2e-3))
+    assert [row[1] for row in rows] == pytest.approx([(25 / 6 + 5 / 6) / 2, 0.05, np.rad2deg(2e-3)])
     assert [row[2] for row in rows] == [12, 2, 2]
 
 

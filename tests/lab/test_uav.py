@@ -1,6 +1,8 @@
 """The drone's cloud: where it has points, how they err, and its own shift."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
 
 import laspy
 import numpy as np
@@ -8,63 +10,74 @@ import pytest
 from pyproj import CRS
 
 from tests.lab.conftest import FRAME, SEED, short
-from thalweg.core import GeometryError
+from thalweg.core import ArrayB, ArrayF, ArrayU8, GeometryError
 from thalweg.fusion import Cloud, fit_cloud, read_cloud
 from thalweg.settings.sections import CloudFit
 from thalweg_lab.instruments import simulate_uav
-from thalweg_lab.reach import River
 from thalweg_lab.river import Material
 
 CRS_NAME = "EPSG:25833"
 
 
-def test_the_cloud_is_shifted_rough_and_has_holes(twin, scene, tmp_path):
-    config = short(uav={"spacing_m": 0.5, "crown_share": 0.0})
-    path = tmp_path / "uav.laz"
-    facts = simulate_uav(config, SEED, FRAME, twin.path("scene.npz"), path, crs=CRS_NAME)
-    cloud = laspy.read(path)
-    points = FRAME.from_map(np.asarray(cloud.xyz), CRS.from_user_input(CRS_NAME))
-    assert len(points) == facts["points"]
-    assert facts["lost_over_water"] > 0.1 * facts["places"]
-    assert facts["lost_in_crowns"] > 0
+@dataclass(frozen=True)
+class Drone:
+    """Its file, what it says of itself, its points shifted back, and the ground's height and kind there."""
+
+    path: Path
+    facts: dict[str, Any]
+    back_m: ArrayF
+    ground_m: ArrayF
+    kind: ArrayU8
+
+    @property
+    def bare(self) -> ArrayB:
+        ground = [int(Material.SOIL), int(Material.GRASS), int(Material.GRAVEL)]
+        return np.isin(self.kind, ground) & np.isfinite(self.ground_m)
+
+
+CONFIG = short(uav={"spacing_m": 0.5, "crown_share": 0.0, "sigma_shift_m": (0.03, 0.03, 0.15)})
+
+
+@pytest.fixture(scope="module")
+def drone(twin, scene, tmp_path_factory):
+    path = tmp_path_factory.mktemp("uav") / "uav.laz"
+    facts = simulate_uav(CONFIG, SEED, FRAME, twin.path("scene.npz"), path, crs=CRS_NAME)
+    points = FRAME.from_map(np.asarray(laspy.read(path).xyz), CRS.from_user_input(CRS_NAME))
     back = points - np.array(facts["shift_m"])
     above = back + np.array([0.0, 0.0, 60.0])
-    down = np.tile([0.0, 0.0, -1.0], (len(back), 1))
-    hits = scene.caster().cast(above, down)
+    hits = scene.caster().cast(above, np.tile([0.0, 0.0, -1.0], (len(back), 1)))
     kind = scene.material[np.clip(hits.primitive, 0, None)]
+    return Drone(path, facts, back, above[:, 2] - hits.t_hit_m, kind)
+
+
+def test_the_cloud_is_shifted_rough_and_has_holes(drone):
+    facts = drone.facts
+    assert len(drone.back_m) == facts["points"]
+    assert facts["lost_over_water"] > 0.1 * facts["places"]
+    assert facts["lost_in_crowns"] > 0
     # nothing over water, and on bare ground the stated noise, made a little larger by slopes
-    assert np.mean(kind == Material.WATER) < 0.01
-    bare = np.isin(kind, [int(Material.SOIL), int(Material.GRASS), int(Material.GRAVEL)])
-    error = (hits.t_hit_m - 60.0)[bare]
-    assert bare.sum() > 1000
+    assert np.mean(drone.kind == Material.WATER) < 0.01
+    error = (drone.ground_m - drone.back_m[:, 2])[drone.bare]
+    assert drone.bare.sum() > 1000
     spread = 1.4826 * np.median(np.abs(error - np.median(error)))
-    assert 0.85 < spread / config.uav.sigma_m < 1.35
+    assert 0.85 < spread / CONFIG.uav.sigma_m < 1.35
     assert abs(np.median(error)) < 0.01
 
 
-def test_its_shift_is_found_on_the_ground_of_the_banks(twin, scene, tmp_path):
+def test_its_shift_is_found_on_the_ground_of_the_banks(drone):
     """The drone's cloud, laid on ground as the boat's lidar gives it; a metre too high it is refused."""
-    config = short(uav={"spacing_m": 0.5, "sigma_shift_m": (0.03, 0.03, 0.15)})
-    path = tmp_path / "uav.laz"
-    facts = simulate_uav(config, SEED, FRAME, twin.path("scene.npz"), path, crs=CRS_NAME)
     rng = np.random.default_rng(5)
-    river = River(config.scene, SEED)
-    half = config.scene.width_m / 2
-    s = rng.uniform(-0.45, 0.45, 40_000) * config.scene.length_m
-    behind = half + rng.uniform(0.5, 9.0, len(s))
-    eye = np.column_stack([river.to_wcs(s, behind * rng.choice([-1.0, 1.0], len(s))), np.full(len(s), 60.0)])
-    ground = scene.only(Material.SOIL, Material.GRASS, Material.GRAVEL).caster()
-    t_m = ground.cast(eye, np.tile([0.0, 0.0, -1.0], (len(eye), 1))).t_hit_m
-    met = np.isfinite(t_m)
-    xyz = eye[met] - np.column_stack([np.zeros((met.sum(), 2)), t_m[met]])
+    xyz = np.column_stack([drone.back_m[:, :2], drone.ground_m])[drone.bare]
+    sigma = np.full(len(xyz), 0.03)
     xyz[:, 2] += 0.03 * rng.standard_normal(len(xyz))
-    banks = Cloud(xyz_m=xyz, sigma_horizontal_m=np.full(len(xyz), 0.03), sigma_up_m=np.full(len(xyz), 0.03))
-    foreign = read_cloud([path], FRAME, CRS.from_user_input(CRS_NAME), sigma_m=0.05)
+    banks = Cloud(xyz_m=xyz, sigma_horizontal_m=sigma, sigma_up_m=sigma)
+    foreign = read_cloud([drone.path], FRAME, CRS.from_user_input(CRS_NAME), sigma_m=0.05)
     settings = CloudFit(motion="shift")
     fit = fit_cloud(foreign, banks, settings, sigma_shared_m=0.01)
-    error = fit.motion.shift_m + np.array(facts["shift_m"])
-    assert np.abs(error[2]) < 3 * np.sqrt(fit.cov[2, 2]) + 0.02  # 2 cm: grass, on which the drone looks
-    assert np.abs(facts["shift_m"][2]) > 0.03
+    shift_m = np.array(drone.facts["shift_m"])
+    # 2 cm: grass, on which the drone looks
+    assert abs((fit.motion.shift_m + shift_m)[2]) < 3 * np.sqrt(fit.cov[2, 2]) + 0.02
+    assert abs(shift_m[2]) > 0.03
     high = replace(foreign, xyz_m=foreign.xyz_m + np.array([0.0, 0.0, 1.2]))
     with pytest.raises(GeometryError, match="off the ground of the banks"):
         fit_cloud(high, banks, settings, sigma_shared_m=0.01)

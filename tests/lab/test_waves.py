@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from thalweg.core import GeometryError
 from thalweg_lab.river import Waves
@@ -40,8 +41,8 @@ def test_the_normal_is_that_of_the_height(places):
     )
     normal = waves.normal(east, north, t)
     # Central differences over 1e-5 m of waves of 5 cm: relative error (k h)^2 / 6 = 3e-7, rounding 1e-10.
-    np.testing.assert_allclose(-normal[:, :2] / normal[:, 2:], gradient, atol=1e-7)
-    np.testing.assert_allclose(np.linalg.norm(normal, axis=1), 1.0, atol=1e-12)
+    assert_allclose(-normal[:, :2] / normal[:, 2:], gradient, atol=1e-7)
+    assert_allclose(np.linalg.norm(normal, axis=1), 1.0, atol=1e-12)
 
 
 def test_waves_travel_at_the_speed_of_the_dispersion_relation():
@@ -54,7 +55,7 @@ def test_waves_travel_at_the_speed_of_the_dispersion_relation():
     assert speed.min() == pytest.approx(0.231, abs=0.002)
     assert lengths[np.argmin(speed)] == pytest.approx(0.0171, abs=0.0003)
     waves = Waves.draw(5, rms_slope=0.04)
-    np.testing.assert_allclose(waves.omega_radps, angular_frequency(waves.k_radpm), rtol=1e-12)
+    assert_allclose(waves.omega_radps, angular_frequency(waves.k_radpm), rtol=1e-12)
     # One wave alone comes to another place after the time that its speed takes.
     one = Waves(
         amplitude_m=np.array([0.01]),
@@ -64,12 +65,12 @@ def test_waves_travel_at_the_speed_of_the_dispersion_relation():
         phase_rad=np.array([0.3]),
     )
     there = one.height_m(np.array([2.0]), np.array([0.0]), 2.0 * k / angular_frequency(k))
-    np.testing.assert_allclose(there, one.height_m(np.array([0.0]), np.array([0.0]), 0.0), atol=1e-12)
+    assert_allclose(there, one.height_m(np.array([0.0]), np.array([0.0]), 0.0), atol=1e-12)
 
 
 def test_a_mirror_and_what_is_refused():
     flat = Waves.draw(1, rms_slope=0.0)
-    np.testing.assert_array_equal(flat.normal(np.zeros(2), np.ones(2), 3.0), [[0, 0, 1], [0, 0, 1]])
+    assert_array_equal(flat.normal(np.zeros(2), np.ones(2), 3.0), [[0, 0, 1], [0, 0, 1]])
     with pytest.raises(GeometryError, match="steeper waves break"):
         Waves.draw(1, rms_slope=0.5)
     with pytest.raises(GeometryError, match=r"rms height 0\.1 m"):

@@ -1,7 +1,5 @@
 """Images of a laser line for the tests of its measurement: speckle, blur, halo, grey values, mosaic."""
 
-from dataclasses import dataclass
-
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike
@@ -57,57 +55,35 @@ def mean_line_intensity(
     return _pixels(intensity, used.oversampling)
 
 
-def one_sided_halo(intensity: ArrayF, *, share: float, length_px: float, to_left: bool = True) -> ArrayF:
-    """Intensity with a halo on one side: what a specular or subsurface lobe adds to a line (P4 7.2).
+def one_sided_halo(intensity: ArrayF, *, share: float, length_px: float) -> ArrayF:
+    """Intensity with a halo on the left: what a specular or subsurface lobe adds to a line (P4 7.2).
 
     A share of each pixel's light is spread along its row to one side, falling as ``exp(-distance / length)``.
     Where the sensor saturates, such a halo widens the line on one side and moves what is measured.
     """
-    reach = int(np.ceil(6.0 * length_px))
-    kernel = np.exp(-np.arange(reach + 1) / length_px)
+    kernel = np.exp(-np.arange(int(np.ceil(6.0 * length_px)) + 1) / length_px)
     kernel /= kernel.sum()
-    source = intensity[:, ::-1] if to_left else intensity
-    spread = np.apply_along_axis(lambda row: np.convolve(row, kernel)[: row.size], 1, source)
-    return np.asarray((1.0 - share) * intensity + share * (spread[:, ::-1] if to_left else spread))
+    spread = np.apply_along_axis(lambda row: np.convolve(row, kernel)[: row.size], 1, intensity[:, ::-1])
+    return np.asarray((1.0 - share) * intensity + share * spread[:, ::-1])
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class GreyValues:
-    """How a sensor turns intensity into grey values.
-
-    ``peak_dn`` of intensity 1, noise of reading in electrons, ``dark_dn`` offset, ``ambient_dn`` light beside
-    the laser, ``bits`` 8 or up to 16; ``full_well_electrons`` fills the whole range.
-    """
-
-    peak_dn: float = 150.0
-    ambient_dn: float = 0.0
-    dark_dn: float = 3.0
-    full_well_electrons: float = 13_500.0
-    read_electrons: float = 13.0
-    bits: int = 8
-
-    @property
-    def largest_dn(self) -> int:
-        """Largest grey value."""
-        return int(2**self.bits - 1)
+FULL_WELL, READ_NOISE, DARK_DN = 13_500.0, 13.0, 3.0
+"""Electrons of the grey value 255, noise of reading in electrons, offset in grey values."""
 
 
-def grey_values(intensity: ArrayF, sensor: GreyValues, generator: np.random.Generator) -> AnyArray:
-    """Raw grey values (uint8, or uint16 beyond 8 bits): shot noise, read noise, rounding, saturation."""
-    top = sensor.largest_dn
-    light_dn = np.clip(intensity, 0.0, None) * sensor.peak_dn + sensor.ambient_dn
-    electrons = generator.poisson(light_dn * (sensor.full_well_electrons / top)).astype(np.float64)
-    electrons += generator.normal(0.0, sensor.read_electrons, electrons.shape)
-    grey = np.round(electrons * (top / sensor.full_well_electrons) + sensor.dark_dn)
-    return np.clip(grey, 0, top).astype(np.uint8 if sensor.bits <= 8 else np.uint16)
+def grey_values(intensity: ArrayF, generator: np.random.Generator, peak_dn: float = 150.0) -> AnyArray:
+    """Raw grey values of intensity, 1 being ``peak_dn``: shot noise, read noise, rounding, saturation."""
+    electrons = generator.poisson(np.clip(intensity, 0.0, None) * peak_dn * (FULL_WELL / 255)).astype(float)
+    electrons += generator.normal(0.0, READ_NOISE, electrons.shape)
+    return np.clip(np.round(electrons * (255 / FULL_WELL) + DARK_DN), 0, 255).astype(np.uint8)
 
 
-def laser_mosaic(green: AnyArray, *, red: float = 0.08, blue: float = 0.2, dark_dn: float = 3.0) -> AnyArray:
-    """RGGB mosaic of a green laser's image: red and blue pixels see that share of the light."""
+def laser_mosaic(green: AnyArray) -> AnyArray:
+    """RGGB mosaic of a green laser's image: red and blue pixels see 8 and 20 % of the light."""
     out = green.copy()
-    for (row, column), share in (((0, 0), red), ((1, 1), blue)):
-        part = green[row::2, column::2].astype(np.float64)
-        out[row::2, column::2] = np.round(np.clip((part - dark_dn) * share, 0.0, None) + dark_dn)
+    for first, share in ((0, 0.08), (1, 0.2)):
+        part = green[first::2, first::2].astype(np.float64)
+        out[first::2, first::2] = np.round(np.clip((part - DARK_DN) * share, 0.0, None) + DARK_DN)
     return out
 
 
@@ -129,14 +105,7 @@ COLOURS = {"red": (1.0, 0.12, 0.04), "green": (0.10, 1.0, 0.20), "blue": (0.05, 
 
 
 def daylight_board(
-    seed: int,
-    colour: str,
-    *,
-    laser_dn: float = 120.0,
-    sun_dn: float = 150.0,
-    jpeg: int = 90,
-    straight: tuple[float, float] | None = None,
-    inner: tuple[int, int] | None = None,
+    seed: int, colour: str, *, inner: tuple[int, int] | None = None
 ) -> tuple[AnyArray, ArrayF]:
     """A laser line on a checkerboard in daylight as a camera stores it, (480, 640, 3), and its true x by row.
 
@@ -144,8 +113,7 @@ def daylight_board(
     lies elsewhere in each picture; the line as bright as the albedo; shot and read noise; a Bayer mosaic,
     interpolated; JPEG.
 
-    ``straight``: the line is ``x = a + b y``; None: one that bends. ``inner``: corners of a whole board with
-    a white margin; behind it the line lies elsewhere, as on a wall.
+    ``inner``: corners of a whole board with a white margin; behind it the line lies elsewhere, as on a wall.
     """
     generator = np.random.default_rng([seed, *colour.encode()])
     h, w = 480, 640
@@ -163,21 +131,19 @@ def daylight_board(
     albedo = np.where(board, albedo, 0.35 + 0.1 * np.sin(x / 90) * np.cos(y / 70))
     albedo = cv2.GaussianBlur(albedo, (0, 0), 0.9)
     edge = generator.uniform(0.3, 0.7) * w + 0.3 * (y - h / 2)
-    light = sun_dn * (0.75 + 0.25 * x / w + 0.1 * y / h) * (1 - 0.5 / (1 + np.exp(-(x - edge) / 6)))
+    light = 150.0 * (0.75 + 0.25 * x / w + 0.1 * y / h) * (1 - 0.5 / (1 + np.exp(-(x - edge) / 6)))
     row = np.arange(h)
     centre = w * generator.uniform(0.35, 0.65) + generator.uniform(-0.15, 0.15) * (row - h / 2)
     centre = centre + 6 * np.sin(row / 60)
-    if straight is not None:
-        centre = straight[0] + straight[1] * (row + 0.5)
     aside = 0.0 if inner is None else np.where(board, 0.0, 60.0)
     away = (x + 0.5 - centre[:, None] - aside) / generator.uniform(3, 5)
-    line = laser_dn * np.exp(-2 * away**2) * albedo / 0.85
+    line = 120.0 * np.exp(-2 * away**2) * albedo / 0.85
     white = np.array([0.92, 1.0, 0.8])
     dn = (light * albedo)[..., None] * white + line[..., None] * np.array(COLOURS[colour])
-    electrons = generator.poisson(dn * 13_500 / 255) + generator.normal(0, 13, dn.shape)
-    dn = electrons * 255 / 13_500 + 3
+    electrons = generator.poisson(dn * FULL_WELL / 255) + generator.normal(0, READ_NOISE, dn.shape)
+    dn = electrons * 255 / FULL_WELL + DARK_DN
     mosaic = dn[..., 1].copy()
     mosaic[0::2, 0::2], mosaic[1::2, 1::2] = dn[0::2, 0::2, 0], dn[1::2, 1::2, 2]
     stored = cv2.cvtColor(np.clip(np.rint(mosaic), 0, 255).astype(np.uint8), cv2.COLOR_BayerBG2BGR)
-    _, data = cv2.imencode(".jpg", stored, [cv2.IMWRITE_JPEG_QUALITY, jpeg])
+    _, data = cv2.imencode(".jpg", stored, [cv2.IMWRITE_JPEG_QUALITY, 90])
     return cv2.cvtColor(cv2.imdecode(data, cv2.IMREAD_COLOR), cv2.COLOR_BGR2RGB), centre

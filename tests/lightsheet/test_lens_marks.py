@@ -1,14 +1,12 @@
 """The table of marks in pictures of a marker field, and the job that calibrates the camera from it."""
 
 import json
-from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 
-from tests.lightsheet.basin import FRAME, Basin, Jobs, run
+from tests.lightsheet.basin import FRAME, Jobs, run
 from thalweg.calibration import MARKS, read_camera
 from thalweg.core import GeometryError, InputError, frame_of, write_table
 from thalweg.core.calibration import read_calibration
@@ -19,11 +17,11 @@ from thalweg.lightsheet.optics.sensor import LENS_BLOCK
 SIZE = (512, 512)
 
 
-def table(basin: Basin) -> pd.DataFrame:
+def table(basin):
     return pd.read_csv(basin.folder / "camera_field_marks.csv")
 
 
-def changed(basin: Basin, path: Path, change: Callable[[pd.DataFrame], pd.DataFrame]) -> Path:
+def changed(basin, path, change):
     change(table(basin)).to_csv(path, index=False)
     return path
 

@@ -20,7 +20,7 @@ from thalweg.lightsheet.optics import (
 )
 
 
-def unit(x) -> np.ndarray:
+def unit(x):
     return np.asarray(x) / np.linalg.norm(x, axis=-1, keepdims=True)
 
 

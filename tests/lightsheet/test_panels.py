@@ -3,18 +3,18 @@
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.testing import assert_allclose
 
+from tests.lightsheet.scanning.scan_files import pixel_table
 from thalweg.core import InputError
-from thalweg.lightsheet.optics import Sensor, paper_4, project, sheet_in_water
+from thalweg.lightsheet.optics import paper_4, project, sheet_in_water
 from thalweg.lightsheet.poses.panels import compare_panels, measure_panels, read_panels
 
 NAMES = ("a.png", "b.png", "c.png")
 DEPTHS = (128.9, 100.0, 72.7)
 
 
-def series(
-    errors_mm: list[list[float]], sigma_mm: float = 0.05
-) -> tuple[pd.DataFrame, pd.DataFrame, pd.DataFrame]:
+def series(errors_mm, sigma_mm=0.05):
     """Points, panels and images; an empty list is an image without points on the sheet."""
     rows = [
         {"file": name, "depth_mm": depth + e, "sigma_depth_mm": sigma_mm}
@@ -32,17 +32,17 @@ def test_errors_are_measured_minus_stated():
     images.loc[2, "points"] = 5
     found, table = compare_panels(points, panels, images)
     assert table["file"].tolist() == list(NAMES)
-    np.testing.assert_allclose(table["mean_mm"], [0.2, -0.2, 0.2], atol=1e-9)
-    np.testing.assert_allclose(table["std_mm"], [np.sqrt(0.02), np.nan, np.sqrt(0.12)], atol=1e-9)
-    np.testing.assert_allclose(table["rms_mm"], [np.sqrt(0.05), 0.2, np.sqrt(0.12)], atol=1e-9)
-    np.testing.assert_allclose(table["largest_mm"], [0.3, 0.2, 0.6], atol=1e-9)
-    np.testing.assert_allclose(table["predicted_mm"], 0.05, atol=1e-12)
+    assert_allclose(table["mean_mm"], [0.2, -0.2, 0.2], atol=1e-9)
+    assert_allclose(table["std_mm"], [np.sqrt(0.02), np.nan, np.sqrt(0.12)], atol=1e-9)
+    assert_allclose(table["rms_mm"], [np.sqrt(0.05), 0.2, np.sqrt(0.12)], atol=1e-9)
+    assert_allclose(table["largest_mm"], [0.3, 0.2, 0.6], atol=1e-9)
+    assert_allclose(table["predicted_mm"], 0.05, atol=1e-12)
     assert table["n"].tolist() == [2, 1, 3]
     assert table["n_off_sheet"].tolist() == [0, 0, 2]
     # P3 3.1.2 measured at 128.9 and 72.7, not at 100 mm
     assert table["published_mean_mm"].tolist()[::2] == [0.03, 0.07]
     assert np.isnan(table["published_std_mm"][1])
-    np.testing.assert_allclose(found["expected_depth_mm"], np.repeat(DEPTHS, [2, 1, 3]))
+    assert_allclose(found["expected_depth_mm"], np.repeat(DEPTHS, [2, 1, 3]))
 
 
 def test_an_image_that_gives_nothing_keeps_its_row_and_its_reason():
@@ -51,11 +51,8 @@ def test_an_image_that_gives_nothing_keeps_its_row_and_its_reason():
     _, table = compare_panels(points, panels, images)
     assert table["n"].tolist() == [1, 0, 0]
     assert np.isnan(table["mean_mm"][1])
-    assert table["reason"].tolist() == [
-        "",
-        "the image is over-exposed",
-        "no line point lies on the light sheet",
-    ]
+    told = ["", "the image is over-exposed", "no line point lies on the light sheet"]
+    assert table["reason"].tolist() == told
     assert table["n_off_sheet"].tolist() == [0, 0, 7]
 
 
@@ -101,28 +98,12 @@ def test_a_table_as_people_write_it(tmp_path):
         read_panels(tmp_path / "none.csv")
 
 
-# ---------------------------------------------------------------- other media and pictures
-
-
-SENSOR = paper_4()
-WIDTH, HEIGHT = SENSOR.camera.size_px
-
-
-def lines_on_panels(seen_by: Sensor) -> tuple[pd.DataFrame, pd.DataFrame, pd.DataFrame]:
-    """Line points of three panels as a sensor sees them, without noise; panels and images."""
-    fan = np.linspace(-0.9, 0.9, 60) * seen_by.sheet.half_angle_rad
-    parts = []
-    for name, line in zip(NAMES, sheet_in_water(seen_by, np.array(DEPTHS), fan), strict=True):
-        xy = project(seen_by, line)
-        xy = xy[np.isfinite(xy).all(axis=1) & seen_by.camera.inside(np.nan_to_num(xy, nan=-1.0))]
-        parts.append(pd.DataFrame({"file": name, "x_px": xy[:, 0], "y_px": xy[:, 1]}))
-    table = pd.concat(parts, ignore_index=True).assign(line=0, sigma_px=0.1, angle_rad=0.0, flags=0)
-    panels = pd.DataFrame({"file": NAMES, "depth_mm": DEPTHS, "sigma_mm": 0.02})
-    points = table.groupby("file").size().loc[list(NAMES)].to_numpy()
-    return table, panels, pd.DataFrame({"file": NAMES, "points": points, "reason": ""})
-
-
 def test_panels_of_a_good_sensor_come_back():
-    _, rows = measure_panels(SENSOR, *lines_on_panels(SENSOR))
+    sensor = paper_4()
+    lines = sheet_in_water(sensor, DEPTHS, np.linspace(-0.25, 0.25, 60))
+    table = pixel_table({name: project(sensor, line) for name, line in zip(NAMES, lines, strict=True)}, 0.1)
+    _, panels, images = series([[0.0] * 60] * 3)
+    _, rows = measure_panels(sensor, table, panels, images)
     # no noise: solver and projection agree to 1e-9 mm
     assert rows["mean_mm"].abs().max() < 1e-6
+    assert rows["n"].tolist() == [60] * 3

@@ -5,16 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from thalweg.core import Camera, GeometryError, InputError, ThalwegError, rotation_opk
+from thalweg.core import Camera, GeometryError, InputError, ThalwegError
 from thalweg.core.calibration import Source
 from thalweg.ingest.registry import describe
 from thalweg.lightsheet.optics import (
     PARAMETERS,
     RESOURCES,
     LightSheet,
-    Sensor,
     Window,
-    paper_3,
     paper_4,
     read_sensor,
     write_sensor,
@@ -22,38 +20,6 @@ from thalweg.lightsheet.optics import (
 from thalweg.lightsheet.optics.sensor import file_derivatives, sensor_calibration
 
 SOURCE = Source(run="tank", method="two levels")
-
-
-def test_the_papers_ray_is_the_ray_of_the_camera_frame():
-    """P4: the ray of the image point (x', y') is R (x', y', -c); here rows count downwards."""
-    sensor = paper_4()
-    x, y = 2.0, -3.0
-    papers = rotation_opk(*sensor.camera_angles_rad) @ [x, y, -12.0]
-    ours = sensor.R_lcs_ccs @ sensor.camera.rays([[1024 + x / 0.0055, 1024 - y / 0.0055]])[0]
-    # 1e-15: products of rotations in float64
-    assert np.abs(papers / np.linalg.norm(papers) - ours).max() < 1e-15
-
-
-def test_the_fan_of_paper_3_lies_along_y():
-    sheet = paper_3().sheet
-    a = 0.3
-    printed = rotation_opk(0.0, np.deg2rad(-31.324), np.deg2rad(-0.355)) @ [0.0, np.sin(a), -np.cos(a)]
-    assert np.abs(sheet.beams([a])[0] - printed).max() < 1e-15
-
-
-def base_mm(sensor: Sensor) -> float:
-    """Distance between projection centre and laser."""
-    return float(np.linalg.norm(sensor.camera_origin_lcs_mm - sensor.sheet.origin_lcs_mm))
-
-
-def test_bases_and_published_sigmas():
-    # P3 Table 1: 225 mm decoded as 225.6; P4 Table 1: 17.4 cm. A tenth of the last digit.
-    assert base_mm(paper_3()) == pytest.approx(225.6, abs=0.05)
-    assert base_mm(paper_4()) == pytest.approx(174.0, abs=0.05)
-    sigma = dict(zip(PARAMETERS, np.sqrt(np.diag(paper_4().cov)), strict=True))
-    assert sigma["laser_z_mm"] == pytest.approx(0.12)
-    assert sigma["laser_kappa_rad"] == pytest.approx(np.deg2rad(0.04))
-    assert sigma["fx"] == pytest.approx(0.004 / 0.0055)
 
 
 def test_beams_keep_their_direction_cosine_and_length():
@@ -77,7 +43,7 @@ def test_the_vector_comes_back_and_its_names_are_right():
     assert np.array_equal(other.cov, sensor.cov)
 
 
-def awkward() -> Sensor:
+def awkward():
     """A sensor with every parameter off zero and a full covariance."""
     sensor = paper_4()
     rng = np.random.default_rng(5)

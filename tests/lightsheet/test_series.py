@@ -7,11 +7,12 @@ import cv2
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from thalweg.core import GeometryError, InputError, read_table, write_table
 from thalweg.lightsheet.calibration import read_grid
 from thalweg.lightsheet.lines import LineSettings, detect_lines, pooled_shift, without_shift
-from thalweg.lightsheet.optics import PARAMETERS, Sensor, intersect, paper_4, project
+from thalweg.lightsheet.optics import PARAMETERS, intersect, paper_4, project, sheet_in_water
 from thalweg.lightsheet.poses import (
     SERIES_POINTS,
     detect_series,
@@ -19,7 +20,7 @@ from thalweg.lightsheet.poses import (
     require_levels,
     require_one_image,
 )
-from thalweg.lightsheet.poses.series import SHEET_POINTS, image_covariance, points_on_sheet
+from thalweg.lightsheet.poses.series import SHEET_POINTS, points_on_sheet
 from thalweg_lab.random_numbers import generator
 from thalweg_lab.settings import SheetImage
 from thalweg_lab.tank import render_sheet_image, scan_plan, sized, stepped_object
@@ -27,7 +28,7 @@ from thalweg_lab.tank import render_sheet_image, scan_plan, sized, stepped_objec
 SIZE = (512, 512)
 
 
-def line_table(xy: np.ndarray, *, sigma_px: float = 0.1, angle_rad: float = 0.0) -> pd.DataFrame:
+def line_table(xy, *, sigma_px=0.1, angle_rad=0.0):
     n = len(xy)
     return pd.DataFrame(
         {
@@ -42,21 +43,9 @@ def line_table(xy: np.ndarray, *, sigma_px: float = 0.1, angle_rad: float = 0.0)
     )
 
 
-def on_plane(sensor: Sensor, depth_mm: float, n: int = 40) -> np.ndarray:
-    """Image points of the sheet at one depth."""
-    u = np.linspace(300.0, sensor.camera.size_px[0] - 300.0, n)
-    rows = np.full(n, np.nan)
-    for k, v in enumerate(u):
-        line = np.stack([np.linspace(1, sensor.camera.size_px[0] - 1, 4000), np.full(4000, v)], axis=1)
-        depth = intersect(sensor, line).depth_mm
-        rows[k] = np.interp(depth_mm, *_sorted(depth, line[:, 0]))
-    return np.stack([rows, u], axis=1)
-
-
-def _sorted(depth: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    good = np.isfinite(depth)
-    order = np.argsort(depth[good])
-    return depth[good][order], x[good][order]
+def on_plane(sensor, n=40):
+    """Image points of the sheet 125 mm deep."""
+    return project(sensor, sheet_in_water(sensor, [125.0], np.linspace(-0.25, 0.25, n))[0])
 
 
 # ---------------------------------------------------------------- images
@@ -66,23 +55,20 @@ def test_colours_come_red_first_and_a_mosaic_as_it_is(tmp_path):
     colour = np.zeros((20, 30, 3), np.uint8)
     colour[..., 0], colour[..., 1], colour[..., 2] = 10, 20, 30
     cv2.imwrite(str(tmp_path / "a.png"), colour[:, :, ::-1])
-    np.testing.assert_array_equal(read_sheet_image(tmp_path / "a.png"), colour)
+    assert_array_equal(read_sheet_image(tmp_path / "a.png"), colour)
     four = np.dstack([colour[:, :, ::-1], np.full((20, 30), 255, np.uint8)])
     cv2.imwrite(str(tmp_path / "b.png"), four)
-    np.testing.assert_array_equal(read_sheet_image(tmp_path / "b.png"), colour)
+    assert_array_equal(read_sheet_image(tmp_path / "b.png"), colour)
     deep = np.arange(600, dtype=np.uint16).reshape(20, 30) * 100
     cv2.imwrite(str(tmp_path / "c.tiff"), deep)
-    np.testing.assert_array_equal(read_sheet_image(tmp_path / "c.tiff"), deep)
+    assert_array_equal(read_sheet_image(tmp_path / "c.tiff"), deep)
 
 
 def test_files_that_are_no_images(tmp_path):
     (tmp_path / "empty.png").touch()
     (tmp_path / "text.png").write_text("no image")
-    for name, words in (
-        ("empty", "empty or missing"),
-        ("text", "cannot be read"),
-        ("none", "empty or missing"),
-    ):
+    told = {"empty": "empty or missing", "text": "cannot be read", "none": "empty or missing"}
+    for name, words in told.items():
         with pytest.raises(InputError, match=rf"{name}.png: .*{words}.*expected PNG.*camera's disk"):
             read_sheet_image(tmp_path / f"{name}.png")
 
@@ -148,57 +134,54 @@ def test_a_grid_is_calibrated_from_one_image(basin):
 
 
 def test_points_come_back_to_their_pixels_in_millimetres():
+    """Also under a tilted window: depth counts along its normal."""
     sensor = paper_4()
-    found, counts = points_on_sheet(sensor, line_table(on_plane(sensor, 125.0)))
+    sensor = replace(sensor, window=replace(sensor.window, tilt_x_rad=0.02, tilt_y_rad=-0.01))
+    found, counts = points_on_sheet(sensor, line_table(on_plane(sensor)))
     assert list(found.columns) == list(SHEET_POINTS.names)
     assert counts == {"ok": 40}
-    # 4000 samples along a row, straight between: a fortieth of a millimetre and less
-    assert found["depth_mm"].to_numpy() == pytest.approx(125.0, abs=1e-3)
+    # solver and projection agree to 1e-9 mm
+    assert found["depth_mm"].to_numpy() == pytest.approx(125.0, abs=1e-7)
     xyz = found[["x_mm", "y_mm", "z_mm"]].to_numpy()
-    assert sensor.window.depth_mm(xyz) == pytest.approx(found["depth_mm"].to_numpy(), abs=1e-9)
-    # solver to 1e-9 mm, a pixel sees 0.1 mm
-    np.testing.assert_allclose(project(sensor, xyz), found[["x_px", "y_px"]], atol=1e-6)
+    depth = -(xyz @ sensor.window.R_lcs_window[:, 2]) - sensor.window.thickness_mm
+    assert found["depth_mm"].to_numpy() == pytest.approx(depth, abs=1e-9)
+    # a pixel sees 0.1 mm
+    assert_allclose(project(sensor, xyz), found[["x_px", "y_px"]], atol=1e-6)
     assert found["flags"].tolist() == [k % 2 for k in range(40)]
 
 
-def test_the_covariance_is_that_of_the_scatter():
-    """2000 shifted copies of one line point along its direction of measurement."""
+def test_the_covariance_is_that_of_a_shift_along_the_direction_of_measurement():
+    """A shift by sigma moves the point as far as the difference quotient says: one direction, rank one."""
     sensor = paper_4()
-    xy, angle, sigma = on_plane(sensor, 125.0, 3)[1], 0.3, 0.2
-    rng = np.random.default_rng(1)
-    shift = sigma * rng.standard_normal((2000, 1)) * [np.cos(angle), np.sin(angle)]
-    cloud = intersect(sensor, xy + shift).xyz_lcs_mm
+    xy, angle, sigma = on_plane(sensor, 3)[1], 0.3, 0.2
+    step = 1e-3 * np.array([np.cos(angle), np.sin(angle)])
+    ahead, back = intersect(sensor, [xy + step, xy - step]).xyz_lcs_mm
+    moved = sigma * (ahead - back) / 2e-3
     found, _ = points_on_sheet(sensor, line_table(xy[None], sigma_px=sigma, angle_rad=angle))
     cov = found[[f"cov_{a}_mm2" for a in ("xx", "xy", "xz", "yy", "yz", "zz")]].to_numpy()[0]
-    scatter = np.cov(cloud.T)[np.triu_indices(3)]
-    # a variance of 2000 samples is known to 3 %; linearisation over 0.2 px leaves less
-    np.testing.assert_allclose(cov, scatter, rtol=0.12)
-    # uncertain across the line only: one direction
-    full = np.zeros((3, 3))
-    full[np.triu_indices(3)] = cov
-    values = np.linalg.eigvalsh(full + np.triu(full, 1).T)
-    assert values[1] < 1e-9 * values[2]
+    # second order of a step of 1e-3 px
+    assert_allclose(cov, np.outer(moved, moved)[np.triu_indices(3)], rtol=1e-6)
 
 
 def test_sigma_of_the_depth_holds_pixel_and_sensor():
-    sensor, xy = paper_4(), on_plane(paper_4(), 125.0, 5)
+    sensor, xy = paper_4(), on_plane(paper_4(), 5)
     cov = np.zeros((26, 26))
     cov[PARAMETERS.index("n_water"), PARAMETERS.index("n_water")] = 1e-3**2
     known = sensor.with_vector(sensor.vector(), cov=np.zeros((26, 26)))
     loose = sensor.with_vector(sensor.vector(), cov=cov)
     (alone, _), (both, _) = (points_on_sheet(s, line_table(xy)) for s in (known, loose))
-    np.testing.assert_allclose(alone["sigma_depth_mm"] ** 2, alone["cov_zz_mm2"], rtol=1e-9)
+    assert_allclose(alone["sigma_depth_mm"] ** 2, alone["cov_zz_mm2"], rtol=1e-9)
     other = intersect(sensor.with_water(sensor.window.n_water + 1e-3), xy).depth_mm
     by_water = other - alone["depth_mm"]
     # first order of a step of 1e-3
-    np.testing.assert_allclose(both["sigma_depth_mm"], np.hypot(alone["sigma_depth_mm"], by_water), rtol=0.02)
+    assert_allclose(both["sigma_depth_mm"], np.hypot(alone["sigma_depth_mm"], by_water), rtol=0.02)
     # per-point covariance does not hold what all points share
-    np.testing.assert_allclose(both["cov_zz_mm2"], alone["cov_zz_mm2"], rtol=1e-12)
+    assert_allclose(both["cov_zz_mm2"], alone["cov_zz_mm2"], rtol=1e-12)
 
 
 def test_points_off_the_sheet_are_counted_and_never_numbers():
     sensor = paper_4()
-    good = on_plane(sensor, 125.0, 5)
+    good = on_plane(sensor, 5)
     beside = np.array([[2040.0, 10.0], [np.nan, 5.0]])
     found, counts = points_on_sheet(sensor, line_table(np.concatenate([good, beside])))
     assert len(found) == 5
@@ -207,22 +190,6 @@ def test_points_off_the_sheet_are_counted_and_never_numbers():
     assert np.isfinite(found.drop(columns="file").to_numpy(float)).all()
     with pytest.raises(GeometryError, match=r"none of 2 line points lies on the light sheet.*mirrored"):
         points_on_sheet(sensor, line_table(beside))
-
-
-def test_covariance_by_hand():
-    by_pixel = np.array([[[1.0, 0.0], [0.0, 2.0], [3.0, 4.0]]])
-    cov = image_covariance(by_pixel, np.array([0.5]), np.array([np.pi / 2]))
-    # along the rows' direction down: (0, 2, 4) half a pixel each
-    np.testing.assert_allclose(cov[0], 0.25 * np.outer([0, 2, 4], [0, 2, 4]), atol=1e-12)
-
-
-def test_a_tilted_window_measures_depth_along_its_normal():
-    sensor = paper_4()
-    tilted = replace(sensor, window=replace(sensor.window, tilt_x_rad=0.02, tilt_y_rad=-0.01))
-    found, _ = points_on_sheet(tilted, line_table(on_plane(sensor, 125.0, 5)))
-    xyz = found[["x_mm", "y_mm", "z_mm"]].to_numpy()
-    depth = -(xyz @ tilted.window.R_lcs_window[:, 2]) - tilted.window.thickness_mm
-    np.testing.assert_allclose(found["depth_mm"], depth, atol=1e-9)
 
 
 def test_a_series_removes_the_shift_that_its_images_have_in_common(tmp_path):
@@ -237,18 +204,14 @@ def test_a_series_removes_the_shift_that_its_images_have_in_common(tmp_path):
     points, _ = detect_series(paths, LineSettings(method="lsm"), sensor.camera.size_px)
     alone = [detect_lines(read_sheet_image(path), LineSettings(method="lsm")) for path in paths]
     shift = pooled_shift([one.facts for one in alone])
-    assert points.attrs["width_shift"] == {
-        "coefficient": shift.coefficient,
-        "sigma": shift.sigma,
-        "edges": shift.edges,
-        "applied": shift.applied,
-    }
+    told = points.attrs["width_shift"]
+    assert told == {name: getattr(shift, name) for name in ("coefficient", "sigma", "edges", "applied")}
     assert shift.edges >= 6
     expected = np.concatenate([without_shift(one, shift).x_px for one in alone])
-    np.testing.assert_array_equal(points["x_px"].to_numpy(), expected)
+    assert_array_equal(points["x_px"].to_numpy(), expected)
     write_table(tmp_path / "points.parquet", points, SERIES_POINTS, dict(points.attrs))
     assert read_table(tmp_path / "points.parquet", SERIES_POINTS)[1]["width_shift"]["edges"] == shift.edges
     # one image has nobody to ask: it removes its own, if that stands out
     single, _ = detect_series(paths[:1], LineSettings(method="lsm"), sensor.camera.size_px)
     own = without_shift(alone[0], pooled_shift([alone[0].facts]))
-    np.testing.assert_array_equal(single["x_px"].to_numpy(), own.x_px)
+    assert_array_equal(single["x_px"].to_numpy(), own.x_px)

@@ -1,16 +1,13 @@
 """The workflow's jobs on a small basin: what they yield, and what each mistake of a user is told."""
 
 import json
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
 import pandas as pd
 import pytest
 
-from tests.lightsheet.basin import Basin, Jobs, recorded
+from tests.lightsheet.basin import Jobs, recorded
 from thalweg.core import GeometryError, InputError, ThalwegError
 from thalweg.lightsheet.optics import PARAMETERS, read_sensor
 from thalweg.lightsheet.optics.refractive_index import N_WATER
@@ -25,7 +22,7 @@ def jobs(done, tmp_path):
     return Jobs(tmp_path)
 
 
-def told(run: Callable[[], object], kind: type[ThalwegError] = ThalwegError) -> str:
+def told(run, kind=ThalwegError):
     """The message of a refusal that says where, what was found, what was expected, and a cure."""
     with pytest.raises(kind) as caught:
         run()
@@ -36,7 +33,7 @@ def told(run: Callable[[], object], kind: type[ThalwegError] = ThalwegError) -> 
     return str(error)
 
 
-def grid_images(basin: Basin, folder: Path, change: Callable[[Any], Any]) -> list[Path]:
+def grid_images(basin, folder, change):
     """The picture of the grid, changed."""
     folder.mkdir()
     out = []
@@ -129,7 +126,7 @@ def test_a_flipped_picture(basin, jobs):
 
 
 def test_over_exposed_empty_and_foreign_pictures(basin, jobs):
-    def told_for(name: str, change: Callable[[Any], Any]) -> str:
+    def told_for(name, change):
         images = grid_images(basin, jobs.out / name, change)
         return told(lambda: jobs.detect(basin, "calibration", images), InputError)
 

@@ -49,7 +49,7 @@ def test_the_new_index_shares_nothing_with_the_rest():
 def test_slopes_are_those_of_the_formulas_up_to_their_ends(temperature_c, salinity_psu):
     """Differences over 0.1 degrees, 0.1 parts per thousand and 1 nm; wider ones are within 3 % of them."""
 
-    def n(t: float = temperature_c, s: float = salinity_psu, nm: float = 520.0) -> float:
+    def n(t=temperature_c, s=salinity_psu, nm=520.0):
         return WaterState(temperature_c=t, salinity_psu=s, wavelength_nm=nm).index()[0]
 
     t, s = max(temperature_c - 0.05, -2.0), min(max(salinity_psu, 0.05), 39.95)

@@ -13,6 +13,11 @@ from thalweg_lab.yard_records import Scan, scan
 SEED = 4
 
 
+def small(**field: Any) -> TwinConfig:
+    """The small field with changes in its section."""
+    return TwinConfig.of_size("field_tiny", field=field)
+
+
 @pytest.fixture(scope="session")
 def field():
     return build_field(TwinConfig.of_size("field_tiny"), SEED)

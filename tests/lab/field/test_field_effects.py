@@ -1,29 +1,23 @@
 """Faults of a calibration: each changes what it names, when it should, and nothing else."""
 
-from typing import Any
-
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
+from tests.lab.field.conftest import small
 from thalweg.core import ConfigError
-from thalweg_lab.settings import TwinConfig
-from thalweg_lab.yard import Field, build_field, people, recorded_scene
+from thalweg_lab.yard import build_field, people, recorded_scene
 
 SEED = 4
 
 
-def small(**field: Any) -> TwinConfig:
-    """The small field with changes in its section."""
-    return TwinConfig.of_size("field_tiny", field=field)
-
-
-def fields(**effects: Any) -> tuple[Field, Field]:
+def fields(**effects):
     """The field at the time of the reference and of the boat."""
     config = small(effects=effects)
     return build_field(config, SEED), build_field(config, SEED, when="boat")
 
 
-def moved(a: Field, b: Field) -> set[int]:
+def moved(a, b):
     """Markers of which a saddle differs."""
     there, then = a.saddles_wcs_m(), b.saddles_wcs_m()
     return {marker for marker, k in there if not np.array_equal(there[marker, k], then[marker, k])}
@@ -36,7 +30,7 @@ def test_a_toppled_cone_leans_with_its_sheets_after_the_reference(field):
     a, b = before.cone("C5"), after.cone("C5")
     # The axis lies across the line that it leans about only in part, where the builder has tilted it.
     assert np.rad2deg(np.arccos(a.axis_wcs @ b.axis_wcs)) == pytest.approx(8.0, abs=0.05)
-    np.testing.assert_allclose(b.distance_m(after.sheet(33).saddles_wcs_m()), 0.0, atol=1e-13)
+    assert_allclose(b.distance_m(after.sheet(33).saddles_wcs_m()), 0.0, atol=1e-13)
     assert fields(toppled_cone="C7")[1].cone("C7").axis_wcs[2] > -0.999
 
 
@@ -44,8 +38,8 @@ def test_a_moved_marker_is_shifted_in_its_plane(field):
     before, after = fields(moved_marker=74, moved_by_m=0.02)
     assert moved(before, after) == {74}
     shift = after.sheet(74).saddles_wcs_m() - before.sheet(74).saddles_wcs_m()
-    np.testing.assert_allclose(np.linalg.norm(shift, axis=1), 0.02, atol=1e-12)
-    np.testing.assert_allclose(shift @ before.sheet(74).normal_wcs(), 0.0, atol=1e-10)
+    assert_allclose(np.linalg.norm(shift, axis=1), 0.02, atol=1e-12)
+    assert_allclose(shift @ before.sheet(74).normal_wcs(), 0.0, atol=1e-10)
     on_cone = fields(moved_marker=9)
     assert moved(*on_cone) == {9}
 

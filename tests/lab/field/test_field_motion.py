@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
 from thalweg.core import rotation_enu_body
@@ -16,7 +17,7 @@ def run(request):
     return FieldRun(TwinConfig.of_size(request.param), SEED)
 
 
-def times(run: FieldRun) -> np.ndarray:
+def times(run):
     return np.arange(-5.0, run.config.duration_s + 5.0, 0.01)
 
 
@@ -53,11 +54,11 @@ def test_rates_and_velocities_are_derivatives(run):
     turned = Rotation.from_matrix(np.swapaxes(R, 1, 2) @ rotation_enu_body(*run.angles_at(t + h))).as_rotvec()
     back = Rotation.from_matrix(np.swapaxes(R, 1, 2) @ rotation_enu_body(*run.angles_at(t - h))).as_rotvec()
     # Central differences err by h^2 / 6 of the third derivative, and by 1e-15 / h in rounding.
-    np.testing.assert_allclose((turned - back) / (2 * h), run.rates_at(t), atol=2e-6)
+    assert_allclose((turned - back) / (2 * h), run.rates_at(t), atol=2e-6)
     for order in (1, 2):
         lower = run.position_at if order == 1 else run.velocity_at
         slope = (lower(t + h) - lower(t - h)) / (2 * h)
-        np.testing.assert_allclose(slope, run.velocity_at(t, order), atol=2e-6)
+        assert_allclose(slope, run.velocity_at(t, order), atol=2e-6)
 
 
 def test_the_boat_stands_where_the_settings_say():
@@ -65,14 +66,12 @@ def test_the_boat_stands_where_the_settings_say():
     for number, place in enumerate(config.field.positions, start=1):
         boat = standing(config, number)
         t = boat.start_gps_s + np.array([0.0, 1.0])
-        np.testing.assert_array_equal(boat.position_wcs_m(t), [[place.east_m, place.north_m, 0.6]] * 2)
+        assert_array_equal(boat.position_wcs_m(t), [[place.east_m, place.north_m, 0.6]] * 2)
         roll, pitch, heading = (np.rad2deg(a) for a in boat.angles_rad(t))
-        np.testing.assert_allclose(roll, place.roll_deg)
-        np.testing.assert_allclose(pitch, place.pitch_deg)
-        np.testing.assert_allclose(heading, place.heading_deg % 360)
+        assert_allclose(roll, place.roll_deg)
+        assert_allclose(pitch, place.pitch_deg)
+        assert_allclose(heading, place.heading_deg % 360)
         assert not boat.velocity_wcs_mps(t).any()
         assert not boat.rates_ics_radps(t).any()
         pose = boat.T_wcs_ics
-        np.testing.assert_allclose(
-            boat.sensor_wcs_m(t, np.array([1.0, 2, 3]))[0], pose.apply([[1.0, 2, 3]])[0]
-        )
+        assert_allclose(boat.sensor_wcs_m(t, np.array([1.0, 2, 3]))[0], pose.apply([[1.0, 2, 3]])[0])

@@ -1,12 +1,10 @@
 """The sets of images: names, EXIF, clock, poses, effects between the sets, and what other software finds."""
 
-from pathlib import Path
-from typing import Any
-
 import cv2
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.testing import assert_allclose
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
@@ -19,7 +17,7 @@ from thalweg_lab.yard_images import mount_of, simulate_field_images, true_camera
 from thalweg_lab.yard_records import run_times
 
 SEED = 22
-SMALL: dict[str, Any] = {
+SMALL = {
     "duration_s": 4.0,
     "camera": {
         "size_px": (640, 480),
@@ -41,15 +39,15 @@ MOUNTS = Mounts(
 ARUCO = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_250))
 
 
-def config(**changes: Any) -> TwinConfig:
+def config(**changes):
     return TwinConfig.of_size("field_tiny", **{**SMALL, **changes})
 
 
-def mounts() -> dict[str, Any]:
+def mounts():
     return true_mounts(MOUNTS, SEED, on=True)
 
 
-def take(folder: Path, kind: str, twin: TwinConfig) -> pd.DataFrame:
+def take(folder, kind, twin):
     out = folder / kind
     return simulate_field_images(twin, SEED, kind, mounts(), out, folder / f"{kind}.parquet")
 
@@ -62,17 +60,17 @@ def folder(tmp_path_factory):
     return folder
 
 
-def table(folder: Path, kind: str) -> pd.DataFrame:
+def table(folder, kind):
     return pd.read_parquet(folder / f"{kind}.parquet")
 
 
-def exif(path: Path) -> tuple[dict[int, Any], dict[int, Any]]:
+def exif(path):
     with Image.open(path) as image:
         own = image.getexif()
         return dict(own), dict(own.get_ifd(0x8769))
 
 
-def tags(path: Path) -> dict[int, np.ndarray]:
+def tags(path):
     """Corners (4, 2) of tags that OpenCV finds, in pixels from the corner of the image."""
     corners, ids, _ = ARUCO.detectMarkers(cv2.imread(str(path), cv2.IMREAD_GRAYSCALE))
     return {} if ids is None else {int(i): c[0] + 0.5 for i, c in zip(ids.ravel(), corners, strict=True)}
@@ -113,21 +111,19 @@ def test_clock_offset_drift_and_jitter_are_those_of_the_configuration():
     assert np.std(np.diff(stamp)) == pytest.approx(0.004, rel=0.06)
     steady = run_times(config(camera={**SMALL["camera"], "jitter_s": 0.0, "clock_drift_ppm": 0.0}), SEED)
     utc = unix_from_gps(steady.t_gps_s)
-    np.testing.assert_allclose(steady.stamp_us * 1e-6 - utc, 2.3471, atol=6e-4)  # whole milliseconds
+    assert_allclose(steady.stamp_us * 1e-6 - utc, 2.3471, atol=6e-4)  # whole milliseconds
 
 
 def test_poses_are_those_of_boat_and_mount_at_the_true_time(folder):
     twin, run = config(), table(folder, "run")
     motion, mount = FieldRun(twin, SEED), mount_of(mounts()["camera"])
     t = run["t_true_gps_s"].to_numpy()
-    np.testing.assert_allclose(
-        run[["east_m", "north_m", "up_m"]], motion.sensor_wcs_m(t, mount.shift_m), atol=1e-9
-    )
+    assert_allclose(run[["east_m", "north_m", "up_m"]], motion.sensor_wcs_m(t, mount.shift_m), atol=1e-9)
     R = Rotation.from_quat(run[["q_x", "q_y", "q_z", "q_w"]].to_numpy()).as_matrix()
-    np.testing.assert_allclose(R, motion.R_wcs_ics(t) @ mount.R, atol=1e-9)
+    assert_allclose(R, motion.R_wcs_ics(t) @ mount.R, atol=1e-9)
     first = table(folder, "positions").iloc[0]
     expected = (standing(twin, 1).T_wcs_ics @ mount).shift_m
-    np.testing.assert_allclose(first[["east_m", "north_m", "up_m"]].astype(float), expected, atol=1e-9)
+    assert_allclose(first[["east_m", "north_m", "up_m"]].astype(float), expected, atol=1e-9)
 
 
 @pytest.mark.parametrize("kind", ["positions", "run"])

@@ -1,20 +1,14 @@
 """Cones, sheets, bars and targets are where the field says, and paper keeps its lengths."""
 
-from typing import Any
-
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
+from tests.lab.field.conftest import small
 from thalweg.core import Rigid, exp_rotation
-from thalweg_lab.settings import TwinConfig
 from thalweg_lab.yard.layout import SIDES, antenna_sheet
 
 UPRIGHT = (6, 7)
-
-
-def small(**field: Any) -> TwinConfig:
-    """The small field with changes in its section."""
-    return TwinConfig.of_size("field_tiny", field=field)
 
 
 def test_six_cones_lie_on_both_sides_and_two_stand(field):
@@ -41,7 +35,7 @@ def test_points_of_a_cone_fulfil_its_equation(field):
         along = p @ cone.axis_wcs
         across = np.linalg.norm(p - along[:, None] * cone.axis_wcs, axis=1)
         # P2 eq. 2.
-        np.testing.assert_allclose(across**2, (along * np.tan(cone.half_angle_rad)) ** 2, atol=1e-14)
+        assert_allclose(across**2, (along * np.tan(cone.half_angle_rad)) ** 2, atol=1e-14)
         assert np.rad2deg(cone.half_angle_rad) == pytest.approx(25.0, abs=0.4)  # sigma 0.1
 
 
@@ -122,7 +116,7 @@ def test_the_antennas_marker_lies_on_the_antenna():
     assert (sheet.marker, sheet.thing) == (98, "boat")
     # field.yaml: the phase centre is offset_m above the centre along the normal of the print.
     centre = sheet.centre_wcs_m() + small().field.antenna_offset_m * sheet.normal_wcs()
-    np.testing.assert_allclose(centre, pose.apply(lever[None])[0], atol=1e-13)
-    np.testing.assert_allclose(pose.R.T @ sheet.normal_wcs(), [0, 0, -1], atol=1e-9)
+    assert_allclose(centre, pose.apply(lever[None])[0], atol=1e-13)
+    assert_allclose(pose.R.T @ sheet.normal_wcs(), [0, 0, -1], atol=1e-9)
     forward = sheet.to_wcs([[5, 1]])[0] - sheet.to_wcs([[5, 9]])[0]
-    np.testing.assert_allclose(pose.R.T @ forward, [8 * 0.016, 0, 0], atol=1e-12)
+    assert_allclose(pose.R.T @ forward, [8 * 0.016, 0, 0], atol=1e-12)

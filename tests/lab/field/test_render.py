@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from thalweg.calibration import MarkerLayout, sheet_picture
-from thalweg.core import Camera, Rigid
+from thalweg.core import Camera
 from thalweg_lab.settings import TwinConfig, TwinLens
-from thalweg_lab.yard import Field, FieldCone, Sheet, Yard, build_field, field_scene
+from thalweg_lab.yard import FieldCone, Yard, build_field, field_scene
 from thalweg_lab.yard.tour import looking
 from thalweg_lab.yard_images import LensRays, exposed, true_camera, turned
 from thalweg_lab.yard_images.images import SUN, synthetic_view
@@ -39,11 +39,11 @@ def wide():
     return LensRays(true_camera(WIDE, "wide"))
 
 
-def toward(field: Field, cone: str, eye: np.ndarray = EYE, roll_rad: float = 0.0) -> Rigid:
+def toward(field, cone, eye=EYE, roll_rad=0.0):
     return looking(eye, field.cone(cone).middle_wcs_m, roll_rad=roll_rad)
 
 
-def pixels_of(sheet: Sheet, modules: np.ndarray, camera: Camera, pose: Rigid) -> np.ndarray:
+def pixels_of(sheet, modules, camera, pose):
     return camera.project(pose.inverse().apply(sheet.to_wcs(modules)))
 
 
@@ -72,9 +72,7 @@ def test_the_ray_of_each_pixel_is_that_of_the_camera(model):
 # ---------------------------------------------------------------- prints
 
 
-def true_shares(
-    sheet: Sheet, camera: Camera, pose: Rigid, n: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def true_shares(sheet, camera, pose, n):
     """Pixels (k, 2) about a sheet and the shares of paper and ink in each, by n x n rays in float64."""
     rim = np.array([[u, v] for u in (-0.5, 5, 10.5) for v in (-0.5, 5, 10.5)])
     xy = pixels_of(sheet, rim, camera, pose)

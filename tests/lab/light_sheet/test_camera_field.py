@@ -1,7 +1,5 @@
 """The marker field of the sensor's camera: what its pictures show; nothing else of the twin depends on it."""
 
-from pathlib import Path
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -23,7 +21,7 @@ from thalweg_lab.tank.camera_field import (
 CAMERA = paper_4().camera.scaled((1024, 1024))
 
 
-def recorded(folder: Path, seed: int = 7, **changes: int) -> tuple[pd.DataFrame, Path]:
+def recorded(folder, seed=7, **changes):
     twin = TwinConfig.of_size("basin_tiny", light_sheet=changes)
     paths = folder / f"marks{seed}.csv", folder / f"field{seed}.yaml"
     record_camera_field(twin, seed, out_marks=paths[0], out_field=paths[1])
@@ -87,7 +85,7 @@ def test_a_sheet_on_a_post_hides_what_is_behind_it():
     foot = low.centre_wcs_m()
     away = (top - foot) / np.linalg.norm(top - foot)
 
-    def seen(place: np.ndarray) -> set[int]:
+    def seen(place):
         z = (foot - place) / np.linalg.norm(foot - place)
         x = np.cross(z, [0.0, 0.0, 1.0])
         x /= np.linalg.norm(x)

@@ -4,15 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from thalweg.lightsheet.optics import Sensor, intersect, paper_4
+from thalweg.lightsheet.optics import intersect, paper_4
 from thalweg_lab.tank.forward import beams_in_water, camera_rays, see
 
 
-def tilted(sensor: Sensor) -> Sensor:
+def tilted(sensor):
     return replace(sensor, window=replace(sensor.window, tilt_x_rad=0.02, tilt_y_rad=-0.013))
 
 
-def water_points(sensor: Sensor, n: int = 200) -> np.ndarray:
+def water_points(sensor, n=200):
     rng = np.random.default_rng(3)
     local = np.stack([rng.uniform(-90, 90, n), rng.uniform(-130, -40, n), -rng.uniform(30, 220, n)], axis=1)
     local[:, 2] -= sensor.window.thickness_mm

@@ -1,14 +1,10 @@
 """Whole images: each effect alone, repeatable, and none moves another."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 
-from tests.lab.light_sheet.conftest import SEED, Small, row_centres
-from thalweg.core import ArrayF
+from tests.lab.light_sheet.conftest import SEED, row_centres
 from thalweg_lab.random_numbers import generator
-from thalweg_lab.settings import SheetImage
 from thalweg_lab.tank import Posed, render_sheet_image
 from thalweg_lab.tank.forward import see
 from thalweg_lab.tank.glow import on_sheet
@@ -19,7 +15,7 @@ ROWS = slice(120, 400)
 TURN = np.linspace(0.0, 2 * np.pi, 181)[:-1]
 
 
-def middle_of(polygon: ArrayF) -> tuple[float, float]:
+def middle_of(polygon):
     """Centre of gravity of the area in a polygon."""
     x, y = polygon.T
     cross = x * np.roll(y, -1) - np.roll(x, -1) * y
@@ -30,7 +26,7 @@ def middle_of(polygon: ArrayF) -> tuple[float, float]:
     )
 
 
-def changed(settings: SheetImage, **parts: Any) -> SheetImage:
+def changed(settings, **parts):
     """Settings with other values: ``chip={"noise": False}``, ``speckle=False``."""
     update = {
         name: getattr(settings, name).model_copy(update=value) if isinstance(value, dict) else value
@@ -39,14 +35,12 @@ def changed(settings: SheetImage, **parts: Any) -> SheetImage:
     return settings.model_copy(update=update)
 
 
-def scene(
-    small: Small, depth_mm: float = 125.0, albedo: tuple[float, float, float] = (0.45, 0.45, 0.45)
-) -> Posed:
+def scene(small, depth_mm=125.0, albedo=(0.45, 0.45, 0.45)):
     at, _ = on_sheet(small.sensor, small.sensor.sheet, depth_mm)
     return Posed(surface=panel(albedo=albedo), shift_lcs_mm=at)
 
 
-def picture(small: Small, settings: SheetImage, posed: Posed | None = None, name: str = "image") -> ArrayF:
+def picture(small, settings, posed=None, name="image"):
     used = posed or scene(small)
     return render_sheet_image(small.sensor, used, settings, generator(SEED, name)).astype(np.float64)
 
@@ -68,12 +62,10 @@ def test_a_halo_pulls_a_saturated_line_along_the_laser(small):
     halo = changed(small.clean, halo_share=0.4, halo_mm=1.5, chip={"colour": "mono", "peak_dn": 600.0})
     plain = changed(halo, halo_share=0.0)
     white, black = scene(small, albedo=WHITE), scene(small, albedo=BLACK)
-    moved = (row_centres(picture(small, halo, white) - 3) - row_centres(picture(small, plain, white) - 3))[
-        ROWS
-    ]
-    still = (row_centres(picture(small, halo, black) - 3) - row_centres(picture(small, plain, black) - 3))[
-        ROWS
-    ]
+    moved, still = (
+        (row_centres(picture(small, halo, on) - 3) - row_centres(picture(small, plain, on) - 3))[ROWS]
+        for on in (white, black)
+    )
     # the laser runs towards +y of lcs, to the left in the image as in P4 7.2
     assert np.median(moved) < -0.3
     assert abs(np.median(still)) < 0.25 * abs(np.median(moved))
@@ -99,7 +91,6 @@ def test_daylight_shows_the_marks_where_they_are(small):
     day = changed(small.clean, chip={"colour": "mono", "ambient_dn": 200.0, "peak_dn": 0.001})
     image = picture(small, day, posed)
     spots = posed.surface.spots
-    assert spots is not None
     xy = see(small.sensor, posed.to_lcs(spots.centre_mm)).xy_px
     inside = xy[small.sensor.camera.inside(xy, 20.0)]
     assert len(inside) > 5

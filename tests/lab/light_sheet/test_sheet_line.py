@@ -3,18 +3,18 @@
 import numpy as np
 import pytest
 
-from tests.lab.light_sheet.conftest import Small, at_rows, row_centres
-from thalweg.core import ArrayF, rotation_opk
+from tests.lab.light_sheet.conftest import at_rows, row_centres
+from thalweg.core import rotation_opk
 from thalweg_lab.tank import Posed, line_on, stepped_object
 from thalweg_lab.tank.forward import beams_in_water
-from thalweg_lab.tank.glow import LinePoints, on_sheet, rays_of
+from thalweg_lab.tank.glow import on_sheet, rays_of
 from thalweg_lab.tank.objects import STEP_HEIGHTS_MM, STEP_SIZE_MM, GridPattern, grid_object, panel
 from thalweg_lab.tank.render import laser_light
 
 DENSE = np.deg2rad(np.linspace(-44.5, 44.5, 6001))
 
 
-def on_panel(small: Small, depth_mm: float, tilt_deg: float = 0.0) -> Posed:
+def on_panel(small, depth_mm, tilt_deg=0.0):
     tilt = np.deg2rad(tilt_deg)
     at, _ = on_sheet(small.sensor, small.sensor.sheet, depth_mm)
     return Posed(surface=panel(), R_lcs_obj=rotation_opk(tilt, tilt / 2, 0.0), shift_lcs_mm=at)
@@ -50,12 +50,18 @@ def test_defocus_moves_no_line(small):
     assert image.max() < 0.95 * sharp_image.max()
 
 
-def steps(small: Small) -> Posed:
+def steps(small):
     at, _ = on_sheet(small.sensor, small.sensor.sheet, 150.0)
     return Posed(surface=stepped_object(markers=False), shift_lcs_mm=at - [0.0, 0.0, 20.0])
 
 
-def object_points(posed: Posed, line: LinePoints) -> ArrayF:
+def beams_about(small, posed):
+    """Starts on the window and directions (n, 3) of sub-beams in the water, in the frame of the object."""
+    beams = beams_in_water(*rays_of(small.sensor.sheet, DENSE), small.sensor.window)
+    return posed.to_object(beams.start_mm), beams.direction @ posed.R_lcs_obj
+
+
+def object_points(posed, line):
     return posed.to_object(line.xyz_lcs_mm)
 
 
@@ -64,8 +70,7 @@ def test_a_step_throws_the_shadow_that_its_height_throws(small):
     line = line_on(small.sensor, posed, small.sensor.sheet, DENSE)
     points = object_points(posed, line)
     low, high = STEP_HEIGHTS_MM[0], STEP_HEIGHTS_MM[1]
-    beams = beams_in_water(*rays_of(small.sensor.sheet, DENSE), small.sensor.window)
-    start, d = posed.to_object(beams.start_mm), beams.direction
+    start, d = beams_about(small, posed)
     over = start + d * ((high - start[:, 2]) / d[:, 2])[:, None]
     under = start + d * ((low - start[:, 2]) / d[:, 2])[:, None]
     # level 2 ends at x = -50 and lies higher; beams run outwards
@@ -104,8 +109,7 @@ def test_the_light_falls_through_where_the_grid_has_gaps(small, levels_mm):
         surface=grid_object(pattern), R_lcs_obj=rotation_opk(0, 0, np.deg2rad(-2.0)), shift_lcs_mm=at
     )
     line = line_on(small.sensor, posed, small.sensor.sheet, DENSE)
-    beams = beams_in_water(*rays_of(small.sensor.sheet, DENSE), small.sensor.window)
-    start, d = posed.to_object(beams.start_mm), beams.direction @ posed.R_lcs_obj
+    start, d = beams_about(small, posed)
     top = start - d * (start[:, 2] / d[:, 2])[:, None]
     on_plate = np.abs(top[:, 0]) < pattern.half_size_mm[0]
     gap = ((top[:, :1] > pattern.gaps_mm[:, 0]) & (top[:, :1] < pattern.gaps_mm[:, 1])).any(axis=1)

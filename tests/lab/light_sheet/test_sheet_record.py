@@ -7,17 +7,17 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from tests.lab.conftest import FRAME
 from tests.lab.light_sheet.conftest import SEED
 from thalweg.clocks import read_number_columns
 from thalweg.clocks.ties import match_pulses
-from thalweg.core import LocalFrame, read_table
+from thalweg.core import read_table
 from thalweg.ingest.photos import read_image_stamps
 from thalweg.lightsheet.calibration import read_grid
 from thalweg.lightsheet.optics import read_sensor
 from thalweg_lab.tank import calibration_plan, panel_plan, scan_plan, stepped_object
 from thalweg_lab.tank.record import LINE_TRUTH, POSE_TRUTH, record
 
-FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
 START = 3.0e8
 
 

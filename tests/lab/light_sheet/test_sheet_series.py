@@ -1,12 +1,12 @@
 """The recordings of a basin: what the design knows of the true sensor, and what the files hold."""
 
 import json
-from pathlib import Path
 
 import cv2
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from thalweg.calibration.field import read_points
 from thalweg.core import LocalFrame, read_table
@@ -21,7 +21,7 @@ FRAME = LocalFrame(lat_deg=51.0, lon_deg=13.7, h_ell_m=160.0)
 TINY = TwinConfig.of_size("basin_tiny")
 
 
-def station(folder: Path, seed: int = 7) -> tuple[Path, Path, Path]:
+def station(folder, seed=7):
     paths = (folder / "sensor.yaml", folder / "camera_marks.csv", folder / "mark_points.csv")
     record_camera_station(TINY, seed, out_sensor=paths[0], out_marks=paths[1], out_points=paths[2])
     return paths
@@ -47,7 +47,7 @@ def test_the_design_is_off_by_what_its_sigmas_say():
 
 def test_the_laser_is_approximate_and_all_pixels_are_square():
     basin = Basin.of(TINY, 7)
-    np.testing.assert_array_equal(basin.design.vector()[LASER], paper_4().vector()[LASER])
+    assert_array_equal(basin.design.vector()[LASER], paper_4().vector()[LASER])
     off = (basin.true.vector() - basin.design.vector())[LASER]
     assert (np.abs(off[:3]) < 4 * 3.0).all()
     assert (np.abs(off[3:]) < np.deg2rad(4 * 0.8)).all()
@@ -66,8 +66,8 @@ def test_the_camera_station_is_in_metres_in_a_frame_of_its_own(tmp_path):
     sensor, marks, points = station(tmp_path)
     basin = Basin.of(TINY, 7)
     read = read_sensor(sensor)
-    np.testing.assert_allclose(read.vector(), basin.design.vector(), rtol=1e-12, atol=1e-12)
-    np.testing.assert_allclose(read.cov, basin.design.cov, rtol=1e-6, atol=1e-15)
+    assert_allclose(read.vector(), basin.design.vector(), rtol=1e-12, atol=1e-12)
+    assert_allclose(read.cov, basin.design.cov, rtol=1e-6, atol=1e-15)
     found = read_points(points)
     window = np.array([marker in WINDOW_MARKERS for marker, _ in found.points])
     assert window.sum() == 16
@@ -103,7 +103,7 @@ def test_the_grid_and_its_depths(tmp_path):
     # the true line lies on the levels of the object
     near = np.minimum(np.abs(depth - 60.0), np.abs(depth - 150.0))
     assert np.nanquantile(near, 0.95) < 0.01
-    np.testing.assert_allclose(sensor.vector(), Basin.of(TINY, 7).true.vector(), rtol=1e-12, atol=1e-12)
+    assert_allclose(sensor.vector(), Basin.of(TINY, 7).true.vector(), rtol=1e-12, atol=1e-12)
 
 
 def test_panels_and_the_calliper(tmp_path):

@@ -7,7 +7,7 @@ from scipy.stats import norm
 from thalweg_lab.tank.glow import splat
 
 
-def drawn(x: float, y: float, sigma: float, size: int = 40) -> np.ndarray:
+def drawn(x, y, sigma, size=40):
     image = np.zeros((size, size), dtype=np.float32)
     splat(image, np.array([[x, y]]), np.array([2.5]), np.array([sigma]))
     return image.astype(np.float64)

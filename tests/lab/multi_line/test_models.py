@@ -9,7 +9,6 @@ from thalweg.core import GeometryError, UnobservableError
 from thalweg.lightsheet.optics import paper_4
 from thalweg_lab.multi_line import (
     KINDS,
-    LevelPoints,
     NominalDiode,
     calibrate_lines,
     compare_models,
@@ -27,7 +26,7 @@ SIX = (4, 5, 6, 7, 8, 9)
 MILD = GratingErrors(sigma_spacing_deg=0.01, sigma_origin_mm=(0.02, 0.01, 0.01), sigma_bow=1e-4, cover_mm=1.0)
 
 
-def nominal(labels=LINES) -> NominalDiode:
+def nominal(labels=LINES):
     return NominalDiode(
         labels=np.asarray(labels),
         middle=7.0,
@@ -38,7 +37,7 @@ def nominal(labels=LINES) -> NominalDiode:
     )
 
 
-def thesis(errors: GratingErrors, seed: int = 1) -> tuple[LevelPoints, LevelPoints]:
+def thesis(errors, seed=1):
     """Calibration as in T 4.2.1: six lines on both levels, all on one; and planes that were not used."""
     grating = make_grating(SENSOR, seed, errors=errors)
     points = calibration_points(SENSOR, grating, (75.0, 140.0), seed, paired_lines=SIX)

@@ -89,7 +89,7 @@ def test_findings_of_many_surveys():
         assert found.loc[name, "surveys"] == 20
 
 
-def _surveys(factor: float) -> pd.DataFrame:
+def _surveys(factor):
     rng = np.random.default_rng(1)
     parts = []
     for seed in range(40):

@@ -23,7 +23,7 @@ def test_only_consistent_covariances_lie_in_the_band(scale, inside):
 
 
 def test_failures_are_counted_and_do_not_enter_the_mean():
-    def trial(seed: int) -> dict[str, float]:
+    def trial(seed):
         if seed == 2:
             raise CoverageError("no soundings")
         return {"error_mm": 1.0, "consistent": 1.0, "ruler": 1.0, "formal": 50.0}

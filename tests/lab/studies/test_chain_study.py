@@ -1,19 +1,18 @@
 """The study of INS, camera and fused trajectory: a small one, and what its tables say."""
 
-from typing import Any
-
 import numpy as np
 import pandas as pd
 import pytest
 
-from thalweg.core import LocalFrame, Rigid, rotation_vector
+from tests.lab.conftest import FRAME
+from thalweg.core import Rigid, rotation_vector
 from thalweg_lab.settings import TwinConfig
 from thalweg_lab.studies import chain_study as study, chain_study as tables
 from thalweg_lab.studies.chain_study import CHAINS, ImageErrors, draw_images
 from thalweg_lab.studies.survey import BARE
 from thalweg_lab.voyage import Voyage
 
-SMALL: dict[str, Any] = {
+SMALL = {
     "size": "tiny",
     "duration_s": 8.0,
     "scene": BARE | {"length_m": 50.0, "grid_m": 0.25},
@@ -21,7 +20,6 @@ SMALL: dict[str, Any] = {
     "boat": {"turn_rate_degps": 24.0},
     "effects": {"lost_packets": 0.6},
 }
-FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
 CAMERA = Rigid.from_opk(np.deg2rad([90.0, 0.0, 0.0]), [-0.25, -0.10, -0.18])
 
 

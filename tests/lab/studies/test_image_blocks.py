@@ -10,30 +10,11 @@ from thalweg_lab.studies import image_blocks
 from thalweg_lab.studies.image_blocks import FACTORS, block_study, normalised, pooled
 
 FACTOR = BlockAdjustment().interior_variance
-
-
-def blocks(*joint: float, images: int = 10, factor: float = FACTOR) -> pd.DataFrame:
-    return pd.DataFrame(
-        [
-            {
-                "seed": k,
-                "factor": factor,
-                "images": images,
-                "single": 1.0 + k,
-                "joint": value,
-                "independent": 20.0,
-                "rms_mm": 30.0,
-                "sigma_mm": 28.0,
-                "rms_mdeg": 100.0,
-                "sigma_mdeg": 120.0,
-                "check": 0.5,
-                "check_points": 2,
-                "notes": "",
-                "failure": "",
-            }
-            for k, value in enumerate(joint)
-        ]
-    )
+BLOCK = {
+    "seed": 0, "factor": FACTOR, "images": 10, "single": 1.0, "joint": 1.2, "independent": 20.0,
+    "rms_mm": 30.0, "sigma_mm": 28.0, "rms_mdeg": 100.0, "sigma_mdeg": 120.0, "check": 0.5, "check_points": 2,
+    "notes": "", "failure": "",
+}  # fmt: skip
 
 
 def test_normalised_squares_of_correlated_poses(rng):
@@ -57,7 +38,7 @@ def test_images_that_err_as_one_count_once():
 
 
 def test_a_block_that_fails_is_a_line_of_its_own(tmp_path, monkeypatch):
-    def fails(*_: object) -> None:
+    def fails(*_):
         raise GeometryError("no block", expected="one")
 
     monkeypatch.setattr(image_blocks, "rendered_block", fails)
@@ -69,5 +50,5 @@ def test_a_block_that_fails_is_a_line_of_its_own(tmp_path, monkeypatch):
     again = read_parquet(tmp_path / "3.parquet")
     pd.testing.assert_frame_equal(again, table, check_dtype=False)
     table = again[again["factor"] == FACTOR]
-    both = pd.concat([blocks(1.2), table], ignore_index=True)
+    both = pd.concat([pd.DataFrame([BLOCK]), table], ignore_index=True)
     assert pooled(both).loc["all poses jointly", "normalised"] == pytest.approx(1.2)

@@ -1,23 +1,22 @@
 """The study of offsets: a small one says what it must, and words follow from numbers."""
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
 
-from thalweg_lab.studies.offset_study import EFFECTS, Effect, offset_table, rows_of_seed
+from thalweg_lab.studies.offset_study import EFFECTS, offset_table, rows_of_seed
 from thalweg_lab.studies.survey import survey_settings
 
-SMALL: dict[str, Any] = {
+SMALL = {
     "duration_s": 1.0,
     "scene": {"length_m": 40.0, "grid_m": 0.25, "leaves_per_bush": 60},
     "tls": {"spacing_m": 0.2},
 }
 
 
-def small(effect: Effect) -> Effect:
+def small(effect):
     twin = {
         key: value | SMALL.get(key, {}) if isinstance(value, dict) else value
         for key, value in effect.twin.items()

@@ -24,7 +24,7 @@ def test_sigmas_stated_at_half_are_seen_and_mended(tmp_path, monkeypatch):
 def test_a_survey_is_the_same_after_it_was_a_table():
     rng = np.random.default_rng(1)
 
-    def sample() -> Sample:
+    def sample():
         return Sample.of(*rng.random((4, 5)))
 
     trial = Trial(in_3d={"none": sample(), "estimated": sample()}, to_mesh={"none": sample()})

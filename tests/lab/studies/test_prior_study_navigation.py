@@ -5,12 +5,11 @@ import pandas as pd
 import pytest
 
 from tests.bands import band
-from thalweg.core import ArrayF
 from thalweg_lab.studies import prior_study as study
 from thalweg_lab.studies.outage import FRAME, LEVER_ANTENNA_M
 
 
-def antenna_errors_m(variant: str, seed: int = 1) -> tuple[ArrayF, ArrayF]:
+def antenna_errors_m(variant, seed=1):
     """Errors (n, 3) of the positions of a survey of a minute, and the stated sigmas (n, 3)."""
     survey = study.survey_of(study.VARIANTS[variant], seed, 60.0)
     table = survey.positions

@@ -2,7 +2,6 @@
 
 import json
 import re
-from pathlib import Path
 
 import pandas as pd
 import pytest
@@ -10,19 +9,19 @@ import yaml
 
 from thalweg.core import InputError
 from thalweg_lab.studies import Batch, batches, load, run_seeds, write_results
-from thalweg_lab.studies.study import Result, Seed, Study, Tables
+from thalweg_lab.studies.study import Study
 
 SIZES = {"first_seed": 5, "seeds": 5, "first_seed_of_fit": 1, "sizes": {"ins": 2}, "factor": 3.0}
 
 
-def squares(seed: Seed) -> Tables:
+def squares(seed):
     assert not list(seed.folder.iterdir())  # each seed has a folder of its own
     (seed.folder / "log").write_text("x")
     value = seed.sizes["factor"] * seed.number**2
     return {seed.kind: pd.DataFrame({"seed": [seed.number], "value": [value], "why": [""]})}
 
 
-def summed(tables: Tables, files: list[Path]) -> dict[str, Result]:
+def summed(tables, files):
     rows = tables["survey"]
     words = f"{rows['value'].sum():.0f} {len(files)}"
     return {"table": rows, "page": words, "facts": lambda path: path.write_text(json.dumps(len(rows)))}

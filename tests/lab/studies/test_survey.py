@@ -1,14 +1,12 @@
 """A whole survey in one call: the same as the rules make, and only the truth's part sees the truth."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 
 from thalweg.core import laz_header
 from thalweg_lab.studies.survey import BARE, process, record, survey_settings
 
-TWIN: dict[str, Any] = {
+TWIN = {
     "size": "tiny",
     "duration_s": 1.0,
     "scene": BARE | {"length_m": 40.0, "grid_m": 0.5},

@@ -6,12 +6,11 @@ from typing import Any
 
 import pytest
 
-from thalweg.core import LocalFrame
+from tests.lab.conftest import FRAME
 from thalweg_lab.river import Scene, build_scene
 from thalweg_lab.settings import TwinConfig, TwinTimeLapse
 from thalweg_lab.time_lapse.record import TimeLapse
 
-FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
 SEED = 11
 MOUNTS: dict[str, Any] = {
     "camera": {"omega_deg": -89.6, "phi_deg": 0.3, "kappa_deg": 179.5, "lever_ics_m": [-0.25, 0.10, -0.18]}

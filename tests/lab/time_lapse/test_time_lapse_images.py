@@ -1,14 +1,10 @@
 """The images: geometry, what moves and what does not, effects, files."""
 
-from typing import Any
-
 import cv2
 import numpy as np
 import pytest
 
-from thalweg.core import ArrayB
 from thalweg.ingest.photos import read_image_stamps
-from thalweg_lab.time_lapse.record import TimeLapse
 from thalweg_lab.voyage import start_gps_s
 
 FIRST = 5
@@ -20,7 +16,7 @@ def images(reach):
     return [reach.recording.render_image(k) for k in (FIRST, FIRST + 1)]
 
 
-SMALL: dict[str, Any] = {"size_px": (240, 180), "n_targets": 0}
+SMALL = {"size_px": (240, 180), "n_targets": 0}
 
 
 @pytest.fixture(scope="module")
@@ -29,7 +25,7 @@ def small(reach):
     return reach.other(**SMALL)
 
 
-def land_of(recording: TimeLapse, k: int) -> ArrayB:
+def land_of(recording, k):
     """(h, w) pixels whose middle meets land, without the own boat."""
     renderer, shot = recording.renderer, recording.plan.shots[k]
     rays = renderer.lens.rays_ccs.reshape(-1, 3) @ shot.T_wcs_ccs.R.T.astype(np.float32)
@@ -39,7 +35,7 @@ def land_of(recording: TimeLapse, k: int) -> ArrayB:
     land = (np.isfinite(hits.t_hit_m) & (up > renderer.world.level_m)).reshape(
         renderer.lens.rays_ccs.shape[:2]
     )
-    return np.asarray(land & (renderer.boat.share == 0) if renderer.boat else land)
+    return land & (renderer.boat.share == 0) if renderer.boat else land
 
 
 def test_crossings_of_the_boards_are_where_lens_and_pose_say(reach):
@@ -69,7 +65,6 @@ def test_crossings_of_the_boards_are_where_lens_and_pose_say(reach):
 
 def test_water_moves_and_the_boat_covers_the_lower_edge(small):
     land, full, boat = land_of(small, FIRST), small.light(FIRST), small.renderer.boat
-    assert boat is not None
     h = land.shape[0]
     # The float covers part of the lower edge, and nothing above the middle.
     assert 0.3 < boat.full[-1].mean() < 1.0

@@ -3,14 +3,6 @@
 import numba as nb
 import pytest
 
-from tests.lightsheet.calibrate import lines as simulated
-
-
-@pytest.fixture(scope="session")
-def lines():
-    """Simulated line points."""
-    return simulated
-
 
 @pytest.fixture(autouse=True)
 def one_thread():

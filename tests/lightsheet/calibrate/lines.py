@@ -6,6 +6,7 @@ from scipy.interpolate import CubicSpline
 
 from thalweg.core import ArrayB, ArrayF
 from thalweg.lightsheet.calibration import GridObject, parse_grid
+from thalweg.lightsheet.calibration.sheet_calibration import SheetCalibration
 from thalweg.lightsheet.optics import Sensor, project, sheet_in_water
 from thalweg_lab.random_numbers import generator
 
@@ -28,6 +29,12 @@ THREE = OBJECT.replace(
 def without_sigmas(sensor: Sensor) -> Sensor:
     """A sensor of which everything is known exactly."""
     return sensor.with_vector(sensor.vector(), cov=np.zeros((26, 26)))
+
+
+def place_in_sigmas(found: SheetCalibration, true: Sensor) -> ArrayF:
+    """Errors (3,) of the laser's place over their sigmas."""
+    off = found.sensor.sheet.origin_lcs_mm - true.sheet.origin_lcs_mm
+    return np.asarray(off / [found.sigma(f"laser_{axis}_mm") for axis in "xyz"])
 
 
 def off_start(sensor: Sensor, seed: int, mm: float = 10.0, deg: float = 4.0) -> Sensor:

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from tests.bands import band
 from thalweg.calibration.field import FieldPoints
@@ -81,14 +82,12 @@ def test_exact_marks_give_the_pose(truth):
     R = rotation_opk(*found.angles_rad) @ np.diag([1.0, -1.0, -1.0])
     # the heading is that of the design: compare height and the window's normal in the camera
     assert found.origin_lcs_mm == pytest.approx([0.0, 0.0, truth.camera_origin_lcs_mm[2]], abs=1e-5)
-    np.testing.assert_allclose(R[2], truth.R_lcs_ccs[2], atol=1e-8)
+    assert_allclose(R[2], truth.R_lcs_ccs[2], atol=1e-8)
     # a mark of the object lands where it is, turned by the heading only
     exact = np.array([marks_lcs(truth)[key] for key in points.points])
     lcs = 1000.0 * points.points_pcs @ found.R_lcs_pcs.T + found.shift_lcs_mm
-    np.testing.assert_allclose(lcs[:, 2], exact[:, 2], atol=1e-5)
-    np.testing.assert_allclose(
-        np.linalg.norm(lcs[:, :2], axis=1), np.linalg.norm(exact[:, :2], axis=1), atol=1e-4
-    )
+    assert_allclose(lcs[:, 2], exact[:, 2], atol=1e-5)
+    assert_allclose(np.linalg.norm(lcs[:, :2], axis=1), np.linalg.norm(exact[:, :2], axis=1), atol=1e-4)
     assert found.flatness_mm < 1e-6
 
 
@@ -102,7 +101,7 @@ def test_the_facts_of_a_pose_are_in_millimetres_and_degrees():
     facts = found.facts()
     assert list(facts["camera"]) == ["x_mm", "y_mm", "z_mm", "omega_deg", "phi_deg", "kappa_deg"]
     told = [[one["value"], one["sigma"]] for one in facts["camera"].values()]
-    np.testing.assert_allclose(told, [[1, 2], [2, 3], [3, 4], [90, 18], [45, 36], [180, 54]])
+    assert_allclose(told, [[1, 2], [2, 3], [3, 4], [90, 18], [45, 36], [180, 54]])
     assert facts["window_flatness_mm"] == 0.02
 
 
@@ -153,7 +152,7 @@ def test_the_part_of_the_marks_on_the_window(truth):
             ) - numbers(base)
             total += np.outer(off, off)
     # steps of a sigma, 0.02 mm on 160 mm, are nearly infinitely small
-    np.testing.assert_allclose(np.diag(base.cov)[2:], np.diag(total)[2:], rtol=2e-3)
+    assert_allclose(np.diag(base.cov)[2:], np.diag(total)[2:], rtol=2e-3)
 
 
 def test_the_part_of_the_lens(truth):
@@ -172,17 +171,17 @@ def test_the_part_of_the_lens(truth):
         # exactly that if the lens is not estimated anew; of many good marks the resection takes a little part
         # back
         predicted = base.cov_with_lens[:, i] / truth.camera.cov[i, i] * 0.03
-        np.testing.assert_allclose(predicted[2:], off[2:], rtol=0.35, atol=0.1 * np.abs(off[2:]).max())
+        assert_allclose(predicted[2:], off[2:], rtol=0.35, atol=0.1 * np.abs(off[2:]).max())
 
 
 def test_the_sensor_gets_pose_and_covariance(truth):
     marks, points, nominal, _ = picture(truth, 3)
     found = camera_over_window(nominal, marks, points, WINDOW)
     sensor = found.applied(nominal)
-    np.testing.assert_array_equal(sensor.camera_origin_lcs_mm, found.origin_lcs_mm)
-    np.testing.assert_array_equal(sensor.cov[CAMERA, CAMERA], found.cov)
-    np.testing.assert_array_equal(sensor.cov[CAMERA, LENS], found.cov_with_lens)
-    np.testing.assert_array_equal(sensor.cov[LENS, LENS], nominal.camera.cov)
+    assert_array_equal(sensor.camera_origin_lcs_mm, found.origin_lcs_mm)
+    assert_array_equal(sensor.cov[CAMERA, CAMERA], found.cov)
+    assert_array_equal(sensor.cov[CAMERA, LENS], found.cov_with_lens)
+    assert_array_equal(sensor.cov[LENS, LENS], nominal.camera.cov)
     # published for this step: 0.05 mm, 0.02 degrees (P4 6.3); these marks do it
     assert np.sqrt(found.cov[2, 2]) < 0.1
     assert np.rad2deg(np.sqrt(np.diag(found.cov)[3:])).max() < 0.05

@@ -1,32 +1,33 @@
 """Description of the grid object: what is read, and what is refused."""
 
-import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
+from tests.lightsheet.calibrate import lines
 from thalweg.core import ConfigError, GeometryError
 from thalweg.lightsheet.calibration import parse_grid, read_grid
 
 
-def test_the_description_holds_levels_and_gaps(lines, tmp_path):
+def test_the_description_holds_levels_and_gaps(tmp_path):
     path = tmp_path / "grid.yaml"
     path.write_text(
         lines.OBJECT.replace("sigma_mm: 0.05}\ngrid", "sigma_mm: 0.04}\nsigma_common_mm: 0.03\ngrid")
     )
     grid = read_grid(path)
     assert [level.name for level in grid.levels] == ["grid", "plate"]
-    np.testing.assert_array_equal(grid.depths_mm, [60.0, 150.0])
+    assert_array_equal(grid.depths_mm, [60.0, 150.0])
     # own variances and the common one: exact sums
-    np.testing.assert_allclose(
+    assert_allclose(
         grid.cov_depths_mm2, [[0.05**2 + 0.03**2, 0.03**2], [0.03**2, 0.04**2 + 0.03**2]], rtol=1e-15
     )
     assert grid.gaps_x_mm.shape == (24, 2)
-    np.testing.assert_allclose(grid.gaps_x_mm[:2], [[9.0, 14.0], [23.0, 28.0]])
-    np.testing.assert_allclose(grid.gaps_y_mm, [[5.0, 105.0]])
+    assert_allclose(grid.gaps_x_mm[:2], [[9.0, 14.0], [23.0, 28.0]])
+    assert_allclose(grid.gaps_y_mm, [[5.0, 105.0]])
 
 
-def test_gaps_may_be_listed(lines):
+def test_gaps_may_be_listed():
     text = lines.OBJECT.replace("{bar_mm: 9.0, gap_mm: 5.0, gaps: 24}", "{gaps_mm: [[4, 9], [17, 21.5]]}")
-    np.testing.assert_array_equal(parse_grid(text).gaps_x_mm, [[4.0, 9.0], [17.0, 21.5]])
+    assert_array_equal(parse_grid(text).gaps_x_mm, [[4.0, 9.0], [17.0, 21.5]])
 
 
 def test_all_mistakes_are_told_at_once_with_their_lines():
@@ -71,7 +72,7 @@ lid: 3
     ],
     ids=["swapped depths", "swapped patterns", "too close", "no plate", "one level"],
 )
-def test_an_object_that_cannot_calibrate_is_refused(lines, change, words):
+def test_an_object_that_cannot_calibrate_is_refused(change, words):
     text = lines.OBJECT.replace(*change)
     assert text != lines.OBJECT
     with pytest.raises(GeometryError) as error:

@@ -1,22 +1,21 @@
 """Interior orientation of the sensor's camera from a marker field: errors against sigmas, what is refused."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.stats import chi2
 
-from thalweg.calibration.field import FieldDescription, parse_field
-from thalweg.core import Camera, GeometryError, LocalFrame
+from thalweg.calibration.field import parse_field
+from thalweg.core import GeometryError, LocalFrame
 from thalweg.lightsheet.budget import budget_on_lines, budget_table
 from thalweg.lightsheet.budget.budget import point_budget
 from thalweg.lightsheet.calibration import NAME, calibrate_lens, lens_report, with_lens
-from thalweg.lightsheet.calibration.lens import LARGEST_SIGMA, LensCalibration, bar_table, predicted
+from thalweg.lightsheet.calibration.lens import LARGEST_SIGMA, bar_table, predicted
 from thalweg.lightsheet.optics import LENS, WINDOW, paper_4
 from thalweg_lab.tank.camera_field import build_marker_field, field_text, observe_field, stations
 
@@ -30,30 +29,30 @@ SEEDS = range(300, 303)
 
 
 @cache
-def photographed(seed: int = 1, n: int = 12, *, relief: bool = True, **how: bool) -> pd.DataFrame:
+def photographed(seed=1, n=12, *, relief=True, **how):
     """Marks of a small field of 16 sheets and three bars."""
     field = build_marker_field(seed, sheets_a_side=4, relief=relief)
     marks = observe_field(field, TRUE, stations(field, seed, n, **how), seed)
     return marks.rename(columns={"file": "image"}).assign(camera=NAME)
 
 
-def description(seed: int = 1) -> FieldDescription:
+def description(seed=1):
     return parse_field(field_text(build_marker_field(seed, sheets_a_side=4), seed))
 
 
-def calibrated(marks: pd.DataFrame, field: FieldDescription | None = None, design: Camera = DESIGN) -> Any:
+def calibrated(marks, field=None, design=DESIGN):
     return calibrate_lens(marks, design, field or description(), FRAME, where="marks.csv")
 
 
 @cache
-def good() -> LensCalibration:
+def good():
     return calibrated(photographed())
 
 
-def squared_error(found: LensCalibration) -> float:
+def squared_error(found):
     error = found.camera.parameters - TRUE.parameters
     sigma = np.sqrt(np.diag(found.camera.cov))
-    return float(error / sigma @ np.linalg.solve(found.camera.cov / np.outer(sigma, sigma), error / sigma))
+    return error / sigma @ np.linalg.solve(found.camera.cov / np.outer(sigma, sigma), error / sigma)
 
 
 # ---------------------------------------------------------------- consistency
@@ -83,7 +82,7 @@ def test_the_sigmas_follow_the_marks_and_not_what_is_stated():
     marks = photographed()
     # far too large: nothing of it counts, neither before nor in the bundle
     stated = calibrated(marks.assign(sigma_px=3.0))
-    np.testing.assert_allclose(stated.camera.cov, good().camera.cov, rtol=1e-3)
+    assert_allclose(stated.camera.cov, good().camera.cov, rtol=1e-3)
     # 24 pictures of 12: the sigma falls by a root of two, by 20 % more or less with the views
     more = np.sqrt(np.diag(calibrated(photographed(n=24)).camera.cov) / np.diag(good().camera.cov))
     assert ((more[:4] > 0.5) & (more[:4] < 0.9)).all(), more
@@ -143,11 +142,11 @@ def test_the_sensor_takes_the_whole_covariance(tmp_path):
     before = nominal.cov.copy()
     before[LENS, LENS] = before[WINDOW, LENS] = before[LENS, WINDOW] = 0.0
     found = with_lens(nominal, good().camera)
-    np.testing.assert_array_equal(found.cov[LENS, LENS], good().camera.cov)
-    np.testing.assert_array_equal(found.camera.parameters, good().camera.parameters)
+    assert_array_equal(found.cov[LENS, LENS], good().camera.cov)
+    assert_array_equal(found.camera.parameters, good().camera.parameters)
     rest = found.cov.copy()
     rest[LENS, LENS] = 0.0
-    np.testing.assert_array_equal(rest, before)
+    assert_array_equal(rest, before)
     budget = point_budget(found, np.array([[500.0, 500.0]]))
     causes = {"focal length", "principal point", "distortion"}
     assert all(budget.of(cause)[0] > 0.0 for cause in causes)
@@ -161,7 +160,7 @@ def test_the_sensor_takes_the_whole_covariance(tmp_path):
 # ---------------------------------------------------------------- what is refused
 
 
-def told(run: Callable[[], object]) -> str:
+def told(run):
     with pytest.raises(GeometryError) as caught:
         run()
     assert caught.value.expected

@@ -2,6 +2,7 @@
 
 import pytest
 
+from tests.lightsheet.calibrate import lines
 from thalweg.core import UnobservableError
 from thalweg.lightsheet.calibration import CalibrationSettings, fit_sheet
 from thalweg.lightsheet.calibration.rank import (
@@ -14,11 +15,12 @@ from thalweg.lightsheet.calibration.rank import (
 )
 from thalweg.lightsheet.optics import PARAMETERS, paper_3, paper_4
 
+KNOWN_3, KNOWN_4 = lines.without_sigmas(paper_3()), lines.without_sigmas(paper_4())
 SIX = PARAMETERS[15:21]
 CAMERA = PARAMETERS[:6]
 
 
-def fit(lines, sensor, estimate, paper):
+def fit(sensor, estimate, paper):
     if paper == 3:
         grid = lines.grid_object(75.0, 129.0)
         points = lines.line_points(sensor, grid, axis=1, along=1, every=6)
@@ -28,9 +30,9 @@ def fit(lines, sensor, estimate, paper):
     return fit_sheet(sensor, points, grid, CalibrationSettings(estimate=estimate, least_gap_px=12.0))
 
 
-def test_six_laser_parameters_leave_the_turn_of_the_sheet_in_its_plane(lines):
+def test_six_laser_parameters_leave_the_turn_of_the_sheet_in_its_plane():
     with pytest.raises(FreeDirectionError) as error:
-        fit(lines, lines.without_sigmas(paper_4()), SIX, 4)
+        fit(KNOWN_4, SIX, 4)
     assert isinstance(error.value, UnobservableError)
     (direction,) = error.value.directions
     assert direction.motion == IN_PLANE
@@ -42,10 +44,10 @@ def test_six_laser_parameters_leave_the_turn_of_the_sheet_in_its_plane(lines):
         assert word in str(error.value)
 
 
-def test_the_nine_unknowns_of_paper_3_leave_the_turn_about_the_normal(lines):
+def test_the_nine_unknowns_of_paper_3_leave_the_turn_about_the_normal():
     nine = ("laser_z_mm", "laser_phi_rad", "laser_kappa_rad", *CAMERA)
     with pytest.raises(FreeDirectionError) as error:
-        fit(lines, lines.without_sigmas(paper_3()), nine, 3)
+        fit(KNOWN_3, nine, 3)
     (direction,) = error.value.directions
     assert direction.motion == ABOUT_NORMAL
     # study, section 4: Yc, wc, kl, kc take part
@@ -58,19 +60,18 @@ def test_the_nine_unknowns_of_paper_3_leave_the_turn_about_the_normal(lines):
     assert direction.singular_value < 1e-9
 
 
-def test_without_one_of_each_direction_it_works(lines):
+def test_without_one_of_each_direction_it_works():
     eight = ("laser_z_mm", "laser_phi_rad", *CAMERA)
-    assert fit(lines, lines.without_sigmas(paper_3()), eight, 3).misfit_px < 0.16
-    sensor = lines.without_sigmas(paper_4())
-    assert estimable_laser(sensor) == tuple(name for name in SIX if name != "laser_phi_rad")
-    assert fit(lines, sensor, estimable_laser(sensor), 4).misfit_px < 0.16
+    assert fit(KNOWN_3, eight, 3).misfit_px < 0.16
+    assert estimable_laser(KNOWN_4) == tuple(name for name in SIX if name != "laser_phi_rad")
+    assert fit(KNOWN_4, estimable_laser(KNOWN_4), 4).misfit_px < 0.16
     # P3 3.1.1 fixes omega of its laser, too
     assert estimable_laser(paper_3()) == tuple(name for name in SIX if name != "laser_omega_rad")
 
 
-def test_several_defects_are_all_told(lines):
+def test_several_defects_are_all_told():
     with pytest.raises(FreeDirectionError) as error:
-        fit(lines, lines.without_sigmas(paper_4()), (*SIX, *CAMERA), 4)
+        fit(KNOWN_4, (*SIX, *CAMERA), 4)
     assert error.value.defects == 4
     assert "4 directions" in str(error.value)
     motions = {direction.motion for direction in error.value.directions}
@@ -78,10 +79,9 @@ def test_several_defects_are_all_told(lines):
     assert motions <= {IN_PLANE, ABOUT_NORMAL, ALONG_X, ALONG_Y}
 
 
-def test_shifts_along_the_window_are_named(lines):
-    sensor = lines.without_sigmas(paper_4())
+def test_shifts_along_the_window_are_named():
     with pytest.raises(FreeDirectionError) as error:
-        fit(lines, sensor, (*estimable_laser(sensor), "camera_x_mm", "camera_y_mm"), 4)
+        fit(KNOWN_4, (*estimable_laser(KNOWN_4), "camera_x_mm", "camera_y_mm"), 4)
     directions = error.value.directions
     assert {direction.motion for direction in directions} == {ALONG_X, ALONG_Y}
     for direction in directions:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.lightsheet.laser_images import GreyValues, grey_values, line_intensity
+from tests.lightsheet.laser_images import grey_values, line_intensity
 from thalweg.core import AnyArray, ArrayF
 from thalweg.lightsheet.lines import LinePoints
 from thalweg_lab.random_numbers import generator
@@ -68,7 +68,7 @@ def picture():
             centre, width, half_width_px, optics or SpeckleOptics(), generator(seed, "speckle")
         )
         light = light * (np.ones(centre.size) if brightness is None else brightness)[:, None]
-        grey = grey_values(change(light), GreyValues(peak_dn=peak_dn), generator(seed, "noise"))
+        grey = grey_values(change(light), generator(seed, "noise"), peak_dn)
         return Picture(grey, centre)
 
     return make

@@ -6,19 +6,19 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from tests.lightsheet.laser_images import GreyValues, grey_values, laser_mosaic, mean_line_intensity
-from thalweg.core import AnyArray, InputError
+from tests.lightsheet.laser_images import grey_values, laser_mosaic, mean_line_intensity
+from thalweg.core import InputError
 from thalweg.lightsheet.lines import LineSettings, detect_lines, green_image, search
 from thalweg_lab.random_numbers import generator
 
 
-def line(width: int = 100, peak_dn: float = 150) -> AnyArray:
+def line(width=100, peak_dn=150):
     light = mean_line_intensity(np.full(80, width / 2 + 0.2), width, 4)
-    return grey_values(light, GreyValues(peak_dn=peak_dn), generator(1, "noise"))
+    return grey_values(light, generator(1, "noise"), peak_dn)
 
 
-def noise(level: float) -> AnyArray:
-    return grey_values(np.full((200, 200), level), GreyValues(peak_dn=100), generator(2, "noise"))
+def noise(level):
+    return grey_values(np.full((200, 200), level), generator(2, "noise"), 100.0)
 
 
 @pytest.mark.parametrize(
@@ -87,7 +87,7 @@ def test_bits_of_industrial_cameras():
 
 def test_all_four_mosaics_give_the_green_pixels_and_means_between_them():
     rng = generator(3, "noise")
-    grey = grey_values(mean_line_intensity(np.full(60, 40.3), 80, 6), GreyValues(), rng)
+    grey = grey_values(mean_line_intensity(np.full(60, 40.3), 80, 6), rng)
     mosaic = laser_mosaic(grey)
     shifted = {"rggb": mosaic, "grbg": mosaic[:, 1:], "gbrg": mosaic[1:], "bggr": mosaic[1:, 1:]}
     for layout, image in shifted.items():

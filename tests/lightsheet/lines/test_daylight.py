@@ -3,17 +3,17 @@
 import cv2
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from tests.bands import band
 from tests.lightsheet.laser_images import (
     COLOURS,
-    GreyValues,
     daylight_board,
     grey_values,
     laser_mosaic,
     mean_line_intensity,
 )
-from thalweg.core import AnyArray, ArrayF, GeometryError, InputError
+from thalweg.core import GeometryError, InputError
 from thalweg.lightsheet.lines import LineFlag, LineSettings, detect_lines, green_image
 from thalweg_lab.random_numbers import generator
 
@@ -21,24 +21,24 @@ ROWS, WIDTH = 120, 160
 LASER_PX, STRIP_PX = 110.3, 40.0
 
 
-def daylight(light_dn: float = 60.0) -> ArrayF:
+def daylight(light_dn=60.0):
     """A white strip, brighter than any line here, on a dark surface; the light of all colours."""
     x = np.arange(WIDTH) + 0.5
     strip = np.exp(-2.0 * ((x - STRIP_PX) / 5.0) ** 2)
     return np.tile(light_dn * (0.1 + 2.0 * strip), (ROWS, 1))
 
 
-def mosaic(laser_dn: float, light: ArrayF) -> AnyArray:
+def mosaic(laser_dn, light):
     """RGGB image of a laser line and of daylight, with noise."""
     profile = mean_line_intensity(np.full(ROWS, LASER_PX), WIDTH, 4.0)
     line = laser_mosaic(np.asarray(profile * laser_dn, np.float32)).astype(np.float64)
-    return grey_values((line + light) / 255.0, GreyValues(peak_dn=255.0), generator(1, "daylight noise"))
+    return grey_values((line + light) / 255.0, generator(1, "daylight noise"), 255.0)
 
 
 def test_the_line_is_found_beside_a_brighter_strip():
     image = mosaic(80.0, daylight())
     found = detect_lines(image, LineSettings(layout="rggb"))
-    np.testing.assert_allclose(found.x_px, LASER_PX, atol=1.0)
+    assert_allclose(found.x_px, LASER_PX, atol=1.0)
     assert found.counts["daylight_pattern"] >= 0.9 * ROWS
     assert found.facts["judged_by_colour"] == 1.0
     # without colours the strip is the strongest line of each row: the defect that colours mend
@@ -50,7 +50,7 @@ def test_a_mosaic_is_recognised_though_the_strip_is_brighter_than_the_line():
     image = mosaic(80.0, daylight())
     assert green_image(image, LineSettings()).kind == "mosaic"
     found = detect_lines(image)
-    np.testing.assert_allclose(found.x_px, LASER_PX, atol=1.0)
+    assert_allclose(found.x_px, LASER_PX, atol=1.0)
     # daylight alone shows no mosaic, speckle and noise neither
     assert green_image(mosaic(0.0, daylight()), LineSettings()).kind == "mono"
 
@@ -97,18 +97,17 @@ def test_lines_on_a_checkerboard_in_daylight(colour):
 def test_beside_a_checkerboard_there_is_no_line():
     """The wall behind the board shows the laser as well, in another plane; with ``board`` it is not used."""
     how = LineSettings(across="rows", board=(7, 5))
-    for seed in (1,):
-        image, true_px = daylight_board(seed, "red", inner=(7, 5))
-        on_wall, found = detect_lines(image, how.replace(board=None)), detect_lines(image, how)
-        for points, share in ((on_wall, (0.5, 0.95)), (found, (0.99, 1.0))):
-            off = np.abs(points.x_px - true_px[np.rint(points.y_px - 0.5).astype(int)])
-            assert share[0] <= np.mean(off < 2.0) <= share[1]
-        assert len(found) > 200  # of some 300 rows of the board
+    image, true_px = daylight_board(1, "red", inner=(7, 5))
+    on_wall, found = detect_lines(image, how.replace(board=None)), detect_lines(image, how)
+    for points, share in ((on_wall, (0.5, 0.95)), (found, (0.99, 1.0))):
+        off = np.abs(points.x_px - true_px[np.rint(points.y_px - 0.5).astype(int)])
+        assert share[0] <= np.mean(off < 2.0) <= share[1]
+    assert len(found) > 200  # of some 300 rows of the board
     with pytest.raises(GeometryError, match="no checkerboard of 7 x 5"):
         detect_lines(image[:160, :160], how)
 
 
-def with_reflections(image: AnyArray, colour: str, seed: int) -> AnyArray:
+def with_reflections(image, colour, seed):
     """An arc above the board and specks beside it, in the laser's colour."""
     rng = np.random.default_rng([seed, 7])
     y, x = np.mgrid[: image.shape[0], : image.shape[1]] + 0.5
@@ -167,7 +166,7 @@ def test_the_colour_of_a_laser_in_the_dark_is_measured():
     line = 120.0 * mean_line_intensity(np.full(ROWS, LASER_PX), WIDTH, 4.0)
     image = np.clip(np.stack([line, 0.1 * line, 0.02 * line], axis=2), 0, 255).astype(np.uint8)
     assert green_image(image, LineSettings()).colour == "red"
-    np.testing.assert_allclose(detect_lines(image).x_px, LASER_PX, atol=0.2)
+    assert_allclose(detect_lines(image).x_px, LASER_PX, atol=0.2)
     strip = np.repeat(daylight(20.0)[:, :, None], 3, axis=2).astype(np.uint8)
     with pytest.raises(InputError, match=r"as bright in green and blue as in red.*a line of a red laser"):
         detect_lines(strip, LineSettings(laser_colour="red"))

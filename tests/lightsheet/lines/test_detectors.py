@@ -1,21 +1,15 @@
 """What the detectors reach on simulated speckle, against the study's figures (underwater.md, section 3)."""
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter1d
 from scipy.optimize import curve_fit
 
 from tests.bands import band
-from tests.lightsheet.laser_images import GreyValues, grey_values, laser_mosaic, mean_line_intensity
-from thalweg.core import ArrayF
+from tests.lightsheet.laser_images import grey_values, laser_mosaic, mean_line_intensity
 from thalweg.lightsheet.lines import LineFlag, LineSettings, detect_lines
 from thalweg_lab.random_numbers import generator
 from thalweg_lab.tank.render import SpeckleOptics
-
-if TYPE_CHECKING:
-    from conftest import Maker
 
 ROW = LineSettings(method="row_gauss")
 LSM = LineSettings(method="lsm")
@@ -23,7 +17,7 @@ FIXED = LineSettings(adaptive=False, largest_rows=15)
 SEEDS = (1, 2, 3)
 
 
-def all_errors(picture: "Maker", settings: LineSettings, **asked: object) -> tuple[ArrayF, ArrayF]:
+def all_errors(picture, settings, **asked):
     """Errors and normalised errors of all seeds."""
     each = []
     for seed in SEEDS:
@@ -104,7 +98,7 @@ def test_the_default_follows_the_speckle_of_the_image(picture, share):
         made = picture(45.13 + 3 * np.sin(np.arange(400) / 40), seed=seed)
         mean = mean_line_intensity(made.centre_px, made.image.shape[1], 5.0, SpeckleOptics())
         light = share * (made.image - 3.0) / 150.0 + (1.0 - share) * mean
-        image = grey_values(light, GreyValues(), generator(seed, "share of speckle"))
+        image = grey_values(light, generator(seed, "share of speckle"))
         made = type(made)(image, made.centre_px)
         e, z = made.errors(detect_lines(image))
         error.append(e)
@@ -148,7 +142,7 @@ def test_the_row_fit_is_a_least_squares_fit(picture):
     made = picture(rows=120)
     points = detect_lines(made.image, LineSettings(method="row_gauss", half_width_px=5.0))
 
-    def profile(x: ArrayF, a: float, m: float, w: float, b: float) -> ArrayF:
+    def profile(x, a, m, w, b):
         return a * np.exp(-2 * (x - m) ** 2 / w**2) + b
 
     apart = []
@@ -210,6 +204,6 @@ def test_a_dark_line_is_measured_and_called_weak(picture):
 
 def test_the_same_image_gives_the_same_bytes():
     light = mean_line_intensity(np.full(64, 30.2), 60, 4)
-    image = grey_values(light, GreyValues(), generator(1, "noise"))
+    image = grey_values(light, generator(1, "noise"))
     first, second = detect_lines(image), detect_lines(image)
     assert first.to_frame().to_numpy().tobytes() == second.to_frame().to_numpy().tobytes()

@@ -1,17 +1,16 @@
 """Saturated markers, edges of the albedo, jumps, several lines; counts of what was dropped."""
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
-from tests.lightsheet.laser_images import GreyValues, grey_values, mean_line_intensity, one_sided_halo
-from thalweg.core import ArrayF, read_table, write_table
+from tests.lightsheet.laser_images import grey_values, mean_line_intensity, one_sided_halo
+from thalweg.core import read_table, write_table
 from thalweg.lightsheet.lines import (
     LINE_POINTS,
     LineFlag,
-    LinePoints,
     LineSettings,
     detect_lines,
     pooled_shift,
@@ -21,21 +20,18 @@ from thalweg.lightsheet.lines.albedo import WidthShift, albedo_edges, width_shif
 from thalweg.lightsheet.lines.detect import heights, patch_heights
 from thalweg_lab.random_numbers import generator
 
-if TYPE_CHECKING:
-    pass
-
 ROWS = np.arange(1024)
 MARKERS = np.where((ROWS // 60) % 3 == 0, 20.0, 1.0)
 """White markers of 60 rows on black, 20 times as bright (0.9 on 0.045)."""
 
 
-def complete(points: LinePoints) -> bool:
+def complete(points):
     """Whether every candidate is a point or counted by a reason."""
     dropped = sum(n for name, n in points.counts.items() if name not in ("candidates", "points"))
     return points.counts["candidates"] == len(points) + dropped
 
 
-def bimodal_px(points: LinePoints, centre_px: ArrayF) -> float:
+def bimodal_px(points, centre_px):
     """Difference between the medians of the errors on markers and beside them, far from edges."""
     error = points.x_px - np.interp(points.y_px, ROWS + 0.5, centre_px)
     white = MARKERS[points.y_px.astype(int)] > 1
@@ -70,17 +66,13 @@ def test_a_halo_on_white_markers_shifts_and_is_taken_out(picture, seed):
     assert raw.facts["halo_px"] == 0.0
 
 
-def test_without_a_halo_none_is_found(picture):
+def test_edges_of_the_albedo_and_saturation_are_flagged_where_they_are(picture):
+    """Without a halo none is found, and nothing is taken out; even brightness has no edges."""
     made = picture(width=160, half_width_px=4.0, peak_dn=40.0, brightness=MARKERS)
     points = detect_lines(made.image)
     assert points.facts["halo_px"] == 0.0
     assert not pooled_shift([points.facts]).applied
     assert abs(bimodal_px(points, made.centre_px)) < 0.05
-
-
-def test_edges_of_the_albedo_and_saturation_are_flagged_where_they_are(picture):
-    made = picture(width=160, half_width_px=4.0, peak_dn=40.0, brightness=MARKERS)
-    points = detect_lines(made.image)
     edges = np.flatnonzero(np.diff(MARKERS)) + 1.0
     away = np.abs(points.y_px[:, None] - edges).min(axis=1)
     flagged = points.has(LineFlag.ALBEDO_EDGE)
@@ -92,9 +84,6 @@ def test_edges_of_the_albedo_and_saturation_are_flagged_where_they_are(picture):
     assert saturated[~white & (away > 11)].mean() < 0.05
     assert points.facts["albedo_edges"] == pytest.approx(edges.size, abs=1)
     assert complete(points)
-
-
-def test_even_brightness_has_no_edges(picture):
     assert not detect_lines(picture(seed=4).image).has(LineFlag.ALBEDO_EDGE).any()
 
 
@@ -160,7 +149,7 @@ def test_several_lines_each_as_good_as_one(settings):
     y = np.arange(300)
     centres = [40 + 30 * k + 8 * np.sin(y / 60 + k) for k in range(5)]
     light = sum(mean_line_intensity(c, 220, 3) for c in centres)
-    points = detect_lines(grey_values(light, GreyValues(), rng), settings)
+    points = detect_lines(grey_values(light, rng), settings)
     assert (points.line == -1).all()  # which is which is another step
     assert np.bincount(points.piece).tolist() == [300] * 5
     assert complete(points)
@@ -169,7 +158,7 @@ def test_several_lines_each_as_good_as_one(settings):
     # at the image's border a patch without shear sees one side only: 3.5 rows of slope 0.13
     assert error[(points.y_px > 8) & (points.y_px < 292)].max() < 0.3
     # asked for one line, each row gives one point
-    one = detect_lines(grey_values(light, GreyValues(), rng))
+    one = detect_lines(grey_values(light, rng))
     assert np.bincount(one.y_px.astype(int)).max() == 1
     assert one.counts["beside_the_strongest"] > 0
     assert complete(one)
@@ -178,11 +167,11 @@ def test_several_lines_each_as_good_as_one(settings):
 def test_rows_or_columns_by_itself():
     y = np.arange(200)
     light = mean_line_intensity(100 + 0.7 * (y - 100), 200, 4)
-    down = grey_values(light, GreyValues(), generator(1, "noise"))
+    down = grey_values(light, generator(1, "noise"))
     assert (detect_lines(down).angle_rad == 0).all()
     right = detect_lines(down.T.copy())
     assert (right.angle_rad == np.pi / 2).all()
-    np.testing.assert_array_equal(right.y_px, detect_lines(down).x_px)
+    assert_array_equal(right.y_px, detect_lines(down).x_px)
     forced = detect_lines(down, LineSettings(across="columns", largest_rows=5))
     assert np.abs(forced.y_px - (100.5 + (forced.x_px - 100) / 0.7))[20:-20].max() < 0.4
 
@@ -191,7 +180,7 @@ def test_the_table_is_of_its_kind(picture, tmp_path):
     points = detect_lines(picture(rows=64).image)
     write_table(tmp_path / "points.parquet", points.to_frame(), LINE_POINTS)
     back, _ = read_table(tmp_path / "points.parquet", LINE_POINTS)
-    np.testing.assert_array_equal(back["x_px"], points.x_px)
+    assert_array_equal(back["x_px"], points.x_px)
     some = points.where(points.y_px > 32)
     assert len(some) == 32
     assert some.counts == points.counts
@@ -206,16 +195,20 @@ def test_heights_grow_to_the_largest():
     assert heights(9) == [1, 3, 5, 7, 9]
 
 
+def chosen(row, x, largest):
+    """Heights of patches and their bias for rows of one piece with a sigma of 0.2 px."""
+    n, white = len(row), np.array([1.0, 0, 0])
+    return patch_heights(row, x, np.full(n, 0.2), np.zeros(n, np.int64), white, largest)
+
+
 @pytest.mark.parametrize(("bend_rows", "least", "most"), [(1e9, 13, 21), (9.0, 3, 11), (4.0, 1, 5)])
 def test_the_height_follows_the_surface(bend_rows, least, most):
     """Waves of 1.5 px, rows with 0.2 px; over h rows of a wave of length 2 pi L a line loses ~ h^2 / L^2."""
     row = np.arange(1000)
     x = 50 + 1.5 * np.sin(row / bend_rows) + 0.2 * generator(3, "rows").standard_normal(1000)
-    chosen, bias = patch_heights(
-        row, x, np.full(1000, 0.2), np.zeros(1000, np.int64), np.array([1.0, 0, 0]), 21
-    )
-    assert least <= np.median(chosen) <= most
-    assert (chosen % 2 == 1).all()
+    height, bias = chosen(row, x, 21)
+    assert least <= np.median(height) <= most
+    assert (height % 2 == 1).all()
     assert np.median(bias) < 0.1
 
 
@@ -223,18 +216,16 @@ def test_rows_without_a_place_do_no_harm():
     row = np.r_[np.arange(100), np.arange(104, 200)]
     x = 50 + 0.1 * row + 0.2 * generator(3, "rows").standard_normal(row.size)
     x[50:60] = np.nan
-    chosen, bias = patch_heights(
-        row, x, np.full(row.size, 0.2), np.zeros(row.size, np.int64), np.array([1.0, 0, 0]), 15
-    )
+    height, bias = chosen(row, x, 15)
     assert np.isfinite(bias).all()
-    assert np.median(chosen) >= 7
+    assert np.median(height) >= 7
 
 
 # ---------------------------------------------------------------- shift of a series, by hand
 
 
 def test_the_shift_of_a_series_is_a_weighted_mean_with_its_scatter():
-    def image(k: float, sigma: float, edges: int) -> dict[str, float]:
+    def image(k, sigma, edges):
         return {"width_shift": k, "sigma_width_shift": sigma, "width_shift_edges": edges}
 
     # weights 100 and 25: mean (10 - 2.5) / 125; chi-square 100 * 0.04^2 + 25 * 0.16^2 = 0.8 below its freedom
@@ -270,11 +261,11 @@ def test_the_shift_of_a_series_goes_along_the_direction_of_measurement(picture):
     out = without_shift(points, shift)
     odd = points.has(LineFlag.SATURATED)
     # 2 px wider than usual, 0.5 px per pixel, along the row: -1 px in x, -tan(30 degrees) in y
-    np.testing.assert_allclose((out.x_px - points.x_px)[odd], -1.0)
-    np.testing.assert_allclose((out.y_px - points.y_px)[odd], -np.tan(np.deg2rad(30.0)))
-    np.testing.assert_allclose(out.sigma_px[odd], np.hypot(points.sigma_px[odd], 0.2))
-    for name in ("x_px", "y_px", "sigma_px"):
-        np.testing.assert_array_equal(getattr(out, name)[~odd], getattr(points, name)[~odd])
+    assert_allclose((out.x_px - points.x_px)[odd], -1.0)
+    assert_allclose((out.y_px - points.y_px)[odd], -np.tan(np.deg2rad(30.0)))
+    assert_allclose(out.sigma_px[odd], np.hypot(points.sigma_px[odd], 0.2))
+    same = ["x_px", "y_px", "sigma_px"]
+    assert out.to_frame()[~odd][same].equals(points.to_frame()[~odd][same])
     facts = (out.facts["width_shift"], out.facts["sigma_width_shift"], out.facts["width_shift_applied"])
     assert facts == (0.5, 0.1, 1.0)
     assert without_shift(out, shift) is out

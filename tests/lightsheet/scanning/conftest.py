@@ -1,6 +1,5 @@
 """Scans made in memory: exact lines of the twin with noise, marks of a panel, a fine reference."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numba as nb
@@ -8,6 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from tests.lightsheet.scanning.scan_files import pixel_table
 from thalweg.calibration.field import FieldPoints
 from thalweg.core import ArrayF, Rigid
 from thalweg.lightsheet.lines import LinePoints
@@ -20,6 +20,7 @@ from thalweg_lab.tank import (
     SIGMA_MARK_MM,
     SIGMA_PX,
     Plan,
+    Posed,
     Surface,
     build_panel,
     line_on,
@@ -51,23 +52,9 @@ def line_points(
     xy_px: ArrayF, sigma_px: float = NOISE_PX, *, rows: int = 1, angle_rad: float = 0.0
 ) -> LinePoints:
     """Line points at pixels (n, 2), as a detector gives them."""
-    n = len(xy_px)
-    whole = np.zeros(n, dtype=np.int64)
-    return LinePoints(
-        line=whole,
-        piece=whole,
-        x_px=xy_px[:, 0],
-        y_px=xy_px[:, 1],
-        sigma_px=np.full(n, sigma_px),
-        angle_rad=np.full(n, angle_rad),
-        peak_dn=np.full(n, 120.0),
-        width_px=np.full(n, 5.0),
-        background_dn=np.zeros(n),
-        rows=np.full(n, rows),
-        flags=whole,
-        counts={"points": n},
-        facts={},
-    )
+    table = pixel_table({"": xy_px}, sigma_px).assign(rows=rows, angle_rad=angle_rad)
+    columns = {name: table[name].to_numpy() for name in table.columns.drop("file")}
+    return LinePoints(**columns, counts={"points": len(xy_px)}, facts={})
 
 
 @dataclass(frozen=True)
@@ -102,6 +89,15 @@ def panel_points(panel: Panel) -> FieldPoints:
     )
 
 
+def visible_line(sensor: Sensor, posed: Posed, beams: int) -> tuple[ArrayF, ArrayF]:
+    """Pixels (n, 2) and places (n, 3) of sub-beams that the camera sees, without noise."""
+    a = sensor.sheet.half_angle_rad * (2.0 * (np.arange(beams) + 0.5) / beams - 1.0)
+    found = line_on(sensor, posed, sensor.sheet, a)
+    keep = found.visible & np.isfinite(found.xy_px).all(axis=1)
+    keep[keep] = sensor.camera.inside(found.xy_px[keep])
+    return found.xy_px[keep], found.xyz_lcs_mm[keep]
+
+
 def simulate(
     sensor: Sensor,
     surface: Surface,
@@ -116,16 +112,10 @@ def simulate(
     """A scan without images: places of the visible line with noise along the rows."""
     plan = scan_plan(sensor, seed, surface, lines=lines, step_mm=step_mm)
     rng = generator(seed, "test line noise")
-    half = sensor.sheet.half_angle_rad
-    a = half * (2.0 * (np.arange(beams) + 0.5) / beams - 1.0)
     profiles = []
     for k in range(lines):
-        found = line_on(sensor, plan.scene(k), sensor.sheet, a)
-        keep = found.visible & np.isfinite(found.xy_px).all(axis=1)
-        keep[keep] = sensor.camera.inside(found.xy_px[keep])
-        xy = found.xy_px[keep] + noise_px * np.column_stack(
-            [rng.standard_normal(keep.sum()), np.zeros(keep.sum())]
-        )
+        xy, _ = visible_line(sensor, plan.scene(k), beams)
+        xy = xy + noise_px * np.column_stack([rng.standard_normal(len(xy)), np.zeros(len(xy))])
         profiles.append(profile(processing or sensor, line_points(xy, noise_px), image=f"sheet_{k:03d}.png"))
     panel = build_panel(seed)
     tripod = set_up(plan.path, panel)
@@ -142,9 +132,6 @@ def simulate(
     )
     poses = panel_poses(tripod.camera, panel_points(panel), marks, [p.image for p in profiles])
     return Scan(plan, panel, tripod, marks, profiles, poses, merge(profiles, poses))
-
-
-Simulate = Callable[..., Scan]
 
 
 @pytest.fixture(scope="session")

@@ -1,6 +1,7 @@
 """A simulated scan as the files that the workflow's jobs take, and these jobs in one process."""
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -9,11 +10,13 @@ import numpy as np
 import pandas as pd
 
 from tests.lightsheet.basin import run
-from thalweg.core import LocalFrame, frame_of, write_table
+from thalweg.core import Camera, LocalFrame, frame_of, write_table
 from thalweg.core.calibration import Source
 from thalweg.core.geometry import TriangleMesh, write_mesh
 from thalweg.lightsheet.optics import Sensor, write_sensor
 from thalweg.lightsheet.poses import SERIES_POINTS, SensorPoses, write_poses
+from thalweg_lab.tank import SIGMA_MARK_MM
+from thalweg_lab.tank.motion import Panel, SensorPath
 from thalweg_lab.tank.series import picked_pairs
 
 FRAME = LocalFrame(lat_deg=51.028, lon_deg=13.721, h_ell_m=160.0)
@@ -42,6 +45,22 @@ def pixel_table(pixels: dict[str, np.ndarray], sigma_px: float) -> pd.DataFrame:
     )
 
 
+def true_poses(path: SensorPath, rows: Sequence[int]) -> SensorPoses:
+    """Poses of the lines ``i0``, ``i1``... of a path without errors."""
+    n = len(rows)
+    return SensorPoses(
+        images=tuple(f"i{k}" for k in rows),
+        R_target_lcs=path.R_obj_lcs[rows],
+        shift_m=path.shift_obj_mm[rows] * 1e-3,
+        cov=np.zeros((n, 6, 6)),
+        shared=np.zeros((n, 6, 0)),
+        reasons=("",) * n,
+        t_gps_s=path.t_s[rows],
+        target="object",
+        source="truth",
+    )
+
+
 def write_points(path: Path, table: pd.DataFrame) -> Path:
     write_table(path, frame_of(SERIES_POINTS, {n: table[n] for n in SERIES_POINTS.names}), SERIES_POINTS)
     return path
@@ -67,7 +86,7 @@ class ScanFiles:
         f = self.folder
         files = {"sensor": f / "sensor.yaml", "line_points": f / "points.parquet", "poses": f / "poses.npz"}
         run("merge_scan", f, **files | other, points=f / "merged.parquet", counts=f / "merged.json")
-        return dict(json.loads((f / "merged.json").read_text()))
+        return json.loads((f / "merged.json").read_text())
 
     def compare(self, levels_mm: list[float] | None = None) -> dict[str, Any]:
         """Facts of `compare_scan`."""
@@ -85,7 +104,18 @@ class ScanFiles:
             scanned="other",
             levels_mm=levels_mm,
         )
-        return dict(json.loads((f / "facts.json").read_text()))
+        return json.loads((f / "facts.json").read_text())
+
+
+def write_panel_files(folder: Path, panel: Panel, camera: Camera, marks: pd.DataFrame) -> None:
+    """What the standing camera's recording consists of: panel.csv, marks.csv and camera.json."""
+    places = {f"{a}_mm": panel.measured_lcs_mm[:, i] for i, a in enumerate("xyz")}
+    table = pd.DataFrame({"marker": panel.marker, **places, "sigma_mm": SIGMA_MARK_MM})
+    table.to_csv(folder / "panel.csv", index=False)
+    marks.to_csv(folder / "marks.csv", index=False)
+    values = dict(zip(camera.parameter_names, camera.parameters.tolist(), strict=True))
+    told = {"model": "perspective", "size_px": list(camera.size_px), "parameters": values}
+    (folder / "camera.json").write_text(json.dumps(told))
 
 
 def scan_files(folder: Path, scan: Any, sensor: Sensor, mesh: TriangleMesh, *, sigma_px: float) -> ScanFiles:

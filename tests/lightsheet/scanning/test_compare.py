@@ -1,13 +1,11 @@
 """A scan beside planes and meshes: what is compared, what is left out, and the tables (P4 Table 3)."""
 
-from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 
-from thalweg.core import GeometryError, InputError, Rigid
+from thalweg.core import GeometryError, InputError
 from thalweg.lightsheet.scanning import compare, merge
 from thalweg.lightsheet.scanning.distances import TABLE_3
 from thalweg.lightsheet.scanning.levels import STEP_HEIGHTS_MM
@@ -15,7 +13,6 @@ from thalweg.surface import Surface
 from thalweg_lab.tank import stepped_object
 from thalweg_lab.tank.series import picked_pairs, reference_mesh
 
-Simulate = Callable[..., Any]
 LINES = 7
 
 
@@ -119,7 +116,7 @@ def test_distances_are_a_table_of_all_points(found, scan):
 
 
 def test_the_motion_comes_back_from_facts(found, scan):
-    T: Rigid = compare.to_reference(found.facts)
+    T = compare.to_reference(found.facts)
     np.testing.assert_allclose(T.apply(scan.cloud.xyz_m), found.cloud.xyz_m, rtol=0, atol=1e-12)
 
 

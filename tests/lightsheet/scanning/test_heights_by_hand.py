@@ -9,7 +9,7 @@ from thalweg.core import GeometryError
 from thalweg.lightsheet.scanning.compare import _require_heights
 
 
-def levels(off_mm: float, own_mm: tuple[float, ...] = (0.2, 0.4)) -> SimpleNamespace:
+def levels(off_mm, own_mm=(0.2, 0.4)):
     """Two levels of 13 and 33 points, plane to ``own_mm``, together ``off_mm`` off; one point on none."""
     return SimpleNamespace(
         plane_n=np.array([13, 33]),

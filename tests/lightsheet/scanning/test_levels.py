@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from tests.bands import band
+from tests.lightsheet.scanning.scan_files import true_poses
 from thalweg.core import GeometryError, UnobservableError
 from thalweg.lightsheet.lines import LineFlag, LineSettings, detect_lines
 from thalweg.lightsheet.optics import paper_4
-from thalweg.lightsheet.poses import SensorPoses
-from thalweg.lightsheet.scanning import ScanCloud, bimodality, filtered, fit_levels, merge, profile
-from thalweg.lightsheet.scanning.levels import STEP_HEIGHTS_MM, Levels
+from thalweg.lightsheet.scanning import bimodality, filtered, fit_levels, merge, profile
+from thalweg.lightsheet.scanning.levels import STEP_HEIGHTS_MM
 from thalweg_lab.random_numbers import generator
 from thalweg_lab.settings import SheetImage
 from thalweg_lab.tank import render_sheet_image, scan_plan, sized, stepped_object
@@ -17,9 +17,7 @@ from thalweg_lab.tank import render_sheet_image, scan_plan, sized, stepped_objec
 UP = np.array([0.0, 0.0, 1.0])
 
 
-def stairs(
-    rng: np.random.Generator, *, tilt: tuple[float, float], n: int = 300, lines: int = 6
-) -> np.ndarray:
+def stairs(rng, *, tilt, n=300, lines=6):
     """Points (m, 3) of several lines over three steps, with 0.1 mm of noise and ground beside."""
     x = np.tile(np.linspace(-170, 170, n), lines)
     y = np.repeat(np.linspace(-20, 20, lines), n)
@@ -67,7 +65,7 @@ def test_another_object_is_not_fitted(rng):
         fit_levels(X[:12] * [1, 1, 5], UP)
 
 
-def scanned(halo: float) -> tuple[ScanCloud, Levels]:
+def scanned(halo):
     """Two rendered lines over the markers, over-exposed, put together by true poses."""
     sensor, settings = sized(paper_4(), SheetImage(), "tiny")
     chip = settings.chip.model_copy(update={"peak_dn": 1500.0})
@@ -84,19 +82,7 @@ def scanned(halo: float) -> tuple[ScanCloud, Levels]:
         )
         for k in (0, 3)
     ]
-    path = plan.path
-    poses = SensorPoses(
-        images=("i0", "i3"),
-        R_target_lcs=path.R_obj_lcs[[0, 3]],
-        shift_m=path.shift_obj_mm[[0, 3]] * 1e-3,
-        cov=np.zeros((2, 6, 6)),
-        shared=np.zeros((2, 6, 0)),
-        reasons=("",) * 2,
-        t_gps_s=np.full(2, np.nan),
-        target="object",
-        source="truth",
-    )
-    cloud = merge(found, poses)
+    cloud = merge(found, true_poses(plan.path, [0, 3]))
     return cloud, fit_levels(cloud.xyz_m * 1e3, UP)
 
 

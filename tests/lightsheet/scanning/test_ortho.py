@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from tests.lightsheet.scanning.scan_files import true_poses
 from thalweg.core import GeometryError, InputError
 from thalweg.lightsheet.lines import detect_lines
 from thalweg.lightsheet.optics import paper_4
-from thalweg.lightsheet.poses import SensorPoses
 from thalweg.lightsheet.scanning import merge, orthophoto, profile
 from thalweg.lightsheet.scanning.ortho import HeightGrid, Orthophoto, colours, height_grid, write_orthophoto
 from thalweg_lab.random_numbers import generator
@@ -26,19 +26,10 @@ def test_the_orthophoto_shows_the_albedo_of_the_bed():
         name: render_sheet_image(sensor, plan.scene(k), settings, generator(5, f"test ortho {k}"))
         for k, name in enumerate(names)
     }
-    path = plan.path
-    poses = SensorPoses(
-        images=tuple(names),
-        R_target_lcs=path.R_obj_lcs,
-        shift_m=path.shift_obj_mm * 1e-3,
-        cov=np.zeros((LINES, 6, 6)),
-        shared=np.zeros((LINES, 6, 0)),
-        reasons=("",) * LINES,
-        t_gps_s=path.t_s,
-        target="bed",
-        source="truth",
+    cloud = merge(
+        [profile(sensor, detect_lines(images[name]), image=name) for name in names],
+        true_poses(plan.path, range(LINES)),
     )
-    cloud = merge([profile(sensor, detect_lines(images[name]), image=name) for name in names], poses)
     photo = orthophoto(sensor, cloud, images.__getitem__, cell_m=0.001)
     seen = (photo.images > 0).ravel()
     assert photo.counts["cells_seen"] == seen.sum() > 1400

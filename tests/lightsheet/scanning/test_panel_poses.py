@@ -1,55 +1,35 @@
 """6-DOF poses: published accuracy, errors as the covariance says, pictures that give none (P4 4.2.1, 7.3)."""
 
-import json
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 import pandas as pd
 import pytest
 
 from tests.bands import band
+from tests.lightsheet.scanning.scan_files import write_panel_files
 from thalweg.core import GeometryError, InputError, Rigid
-from thalweg.lightsheet.optics import Sensor
-from thalweg.lightsheet.poses import SensorPoses, panel_poses, read_panel, read_standing_camera, sigmas_at
+from thalweg.lightsheet.poses import panel_poses, read_panel, read_standing_camera, sigmas_at
 from thalweg.lightsheet.poses.sources import PUBLISHED_SIGMA_DEG, PUBLISHED_SIGMA_MM, read_marks
-from thalweg_lab.tank import SIGMA_MARK_MM, SIGMA_PX, build_panel, observe, scan_plan, set_up
+from thalweg_lab.tank import SIGMA_PX, build_panel, observe, scan_plan, set_up
 from thalweg_lab.tank.objects import panel as plane
 
 LINES = 4
 
 
-def recorded(sensor: Sensor, seed: int, folder: Path) -> tuple[Any, Any, Any]:
+def recorded(sensor, seed, folder):
     """Files of panel, marks and camera as a campaign has them; plan, panel and tripod with the truth."""
     plan = scan_plan(sensor, seed, plane(), lines=LINES, step_mm=5.0)
     panel = build_panel(seed)
     tripod = set_up(plan.path, panel)
     seen = observe(seed, tripod, panel, plan.path, name="test")
-    pd.DataFrame(
-        {
-            "marker": panel.marker,
-            **{f"{a}_mm": panel.measured_lcs_mm[:, i] for i, a in enumerate("xyz")},
-            "sigma_mm": SIGMA_MARK_MM,
-        }
-    ).to_csv(folder / "panel.csv", index=False)
-    pd.DataFrame(
-        {
-            "file": [f"i{k}.png" for k in seen.image],
-            "marker": seen.marker,
-            "x_px": seen.xy_px[:, 0],
-            "y_px": seen.xy_px[:, 1],
-            "sigma_px": SIGMA_PX,
-        }
-    ).to_csv(folder / "marks.csv", index=False)
-    camera = tripod.camera
-    values = dict(zip(camera.parameter_names, camera.parameters.tolist(), strict=True))
-    (folder / "camera.json").write_text(
-        json.dumps({"model": "perspective", "size_px": list(camera.size_px), "parameters": values})
-    )
+    marks = pd.DataFrame({
+        "file": [f"i{k}.png" for k in seen.image], "marker": seen.marker,
+        "x_px": seen.xy_px[:, 0], "y_px": seen.xy_px[:, 1], "sigma_px": SIGMA_PX,
+    })  # fmt: skip
+    write_panel_files(folder, panel, tripod.camera, marks)
     return plan, panel, tripod
 
 
-def poses_of(folder: Path, images: list[str]) -> SensorPoses:
+def poses_of(folder, images):
     return panel_poses(
         read_standing_camera(folder / "camera.json"),
         read_panel(folder / "panel.csv"),

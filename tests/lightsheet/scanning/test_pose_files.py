@@ -7,7 +7,7 @@ from thalweg.core import InputError
 from thalweg.lightsheet.poses import SensorPoses, pose_table, read_poses, write_poses
 
 
-def poses(rng: np.random.Generator) -> SensorPoses:
+def poses(rng):
     """Three poses, the middle one missing."""
     A = rng.standard_normal((3, 6, 6)) * 1e-4
     found = SensorPoses(

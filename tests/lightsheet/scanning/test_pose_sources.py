@@ -10,7 +10,7 @@ from thalweg.lightsheet.poses import factor, trajectory_poses
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
 
 
-def boat(rng: np.random.Generator) -> Trajectory:
+def boat(rng):
     """Two seconds at 50 Hz, rolling, with a gap from 1 to 1.5 s; turns count as much as shifts."""
     t = np.arange(101) / 50.0
     q = Rotation.from_euler("xyz", np.stack([0.1 * np.sin(3 * t), 0.05 * t, 0.4 + 0.2 * t], axis=1)).as_quat()
@@ -25,7 +25,7 @@ def boat(rng: np.random.Generator) -> Trajectory:
     )
 
 
-def mount(rng: np.random.Generator) -> Rigid:
+def mount(rng):
     A = rng.standard_normal((6, 6)) * np.array([4e-4, 4e-4, 4e-4, 0.003, 0.003, 0.003])[:, None]
     return Rigid(R=rotation_opk(np.pi, 0.05, 0.2), shift_m=np.array([-0.3, 0.1, 0.25]), cov=A @ A.T)
 

@@ -1,32 +1,21 @@
 """Points of a profile: their covariance is that of many simulated measurements; bad input is named."""
 
-from collections.abc import Callable
-
 import numpy as np
 import pandas as pd
 import pytest
 
 from thalweg.core import InputError
-from thalweg.lightsheet.lines import LinePoints
-from thalweg.lightsheet.optics import Sensor, paper_4, project, sheet_in_water
+from thalweg.lightsheet.optics import paper_4, project, sheet_in_water
 from thalweg.lightsheet.poses import factor
 from thalweg.lightsheet.poses.poses import compressed
 from thalweg.lightsheet.scanning import joined_counts, profile, profiles
 from thalweg.lightsheet.scanning.profile import independent_share
 
-PointsAt = Callable[..., LinePoints]
 
-
-def places(sensor: Sensor, n: int = 5) -> np.ndarray:
-    """Pixels (n, 2) of points at 60 to 190 mm."""
-    fan = np.linspace(-0.25, 0.25, n)
-    xyz = np.stack(
-        [
-            sheet_in_water(sensor, np.array([d]), np.array([a]))[0, 0]
-            for d, a in zip(np.linspace(60, 190, n), fan, strict=True)
-        ]
-    )
-    return project(sensor, xyz)
+def places(sensor):
+    """Pixels (5, 2) of points at 60 to 190 mm."""
+    k = np.arange(5)
+    return project(sensor, sheet_in_water(sensor, np.linspace(60, 190, 5), np.linspace(-0.25, 0.25, 5))[k, k])
 
 
 def test_covariance_is_that_of_repeated_measurements(points_at, rng):

@@ -1,26 +1,24 @@
 """Scans merged, aligned with a reference, bad poses found (P4 7.3; C324 to C326)."""
 
-from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 
 from tests.bands import band
+from tests.lightsheet.scanning.conftest import visible_line
 from thalweg.core import GeometryError, InputError, Rigid, UnobservableError
 from thalweg.core.geometry import TriangleMesh
-from thalweg.lightsheet.optics import Sensor, paper_4
+from thalweg.lightsheet.optics import paper_4
 from thalweg.lightsheet.poses import factor
 from thalweg.lightsheet.scanning import merge, mesh_distances
 from thalweg.lightsheet.scanning.compare import align, check_lines, from_pairs, scan_against_mesh
 from thalweg.lightsheet.scanning.distances import border_effect, normality
 from thalweg.surface import Surface
-from thalweg_lab.tank import line_on, wreck
+from thalweg_lab.tank import wreck
 from thalweg_lab.tank.objects import panel as plane
 from thalweg_lab.tank.series import picked_pairs, reference_mesh
 
-Simulate = Callable[..., Any]
 OFF = np.array([1e-3, -1e-3, 0.5e-3, 0.0, 0.0, 0.003])
 """A start that is a millimetre and 0.2 degrees off."""
 
@@ -114,26 +112,16 @@ def test_with_perfect_poses_the_motion_errs_by_its_points(simulated, exact, hull
             shared=np.zeros((6, 6, 0)),
         )
         lines = []
-        for p in one.profiles:  # noise of the fixture off, moving means of five on
+        for k, p in enumerate(one.profiles):  # noise of the fixture off, moving means of five on
             white = rng.standard_normal(len(p) + 4)
             mean = np.convolve(white, np.full(5, np.sqrt(0.2)), mode="valid")
-            at = at_place(one, exact, p.image)
+            _, at = visible_line(exact, one.plan.scene(k), 100)
             lines.append(replace(p, xyz_lcs_mm=at + mean[:, None] * p.own_mm, rows=np.full(len(p), 5)))
         found = align(merge(lines, poses), surface, one.T_obj_ccs)
         e = found.T_mesh_target.error_from(one.T_obj_ccs)
         squares.append(e @ np.linalg.solve(found.T_mesh_target.cov, e) / 6)
     low, high = band(6 * len(squares))  # without the neighbours it would be 5
     assert low < np.mean(squares) < high
-
-
-def at_place(one: Any, sensor: Sensor, image: str) -> np.ndarray:
-    """True points (n, 3) of the visible line of an image, in lcs."""
-    k = one.images.index(image)
-    half = sensor.sheet.half_angle_rad
-    line = line_on(sensor, one.plan.scene(k), sensor.sheet, half * (2.0 * (np.arange(100) + 0.5) / 100 - 1.0))
-    keep = line.visible & np.isfinite(line.xy_px).all(axis=1)
-    keep[keep] = sensor.camera.inside(line.xy_px[keep])
-    return np.asarray(line.xyz_lcs_mm[keep])
 
 
 def test_bad_poses_are_found_and_only_those(scan, surface):

@@ -1,26 +1,21 @@
 """Section 9 on scans: what each mistake of a user is told by the jobs that merge and compare a scan."""
 
-import json
 import re
-from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
 
 from tests.lightsheet.basin import run
-from tests.lightsheet.scanning.scan_files import pixel_table, scan_files
-from thalweg.core import GeometryError, InputError, ThalwegError, gps_from_unix
+from tests.lightsheet.scanning.scan_files import pixel_table, scan_files, write_panel_files
+from thalweg.core import GeometryError, InputError, gps_from_unix
 from thalweg.lightsheet.lines import LineFlag
 from thalweg.lightsheet.optics import paper_4
 from thalweg_lab.tank import stepped_object, wreck
 from thalweg_lab.tank.record import image_name, write_image, write_pulses
 from thalweg_lab.tank.series import reference_mesh
 
-Simulate = Callable[..., Any]
 NOISE_PX = 0.15
 LEVELS = [0.006, 20.195, 40.135]
 SENSOR = paper_4()
@@ -59,11 +54,11 @@ def steps(simulated, tmp_path_factory):
     return found, scan_files(tmp_path_factory.mktemp("steps"), found, SENSOR, reference, sigma_px=NOISE_PX)
 
 
-def table_of(scan: Any) -> pd.DataFrame:
+def table_of(scan):
     return pixel_table({one.image: one.xy_px for one in scan.profiles}, NOISE_PX)
 
 
-def told(run: Callable[[], object], kind: type[ThalwegError] = GeometryError) -> str:
+def told(run, kind=GeometryError):
     """The message of a refusal that says what was found, expected, where, and a cure."""
     with pytest.raises(kind) as caught:
         run()
@@ -72,10 +67,10 @@ def told(run: Callable[[], object], kind: type[ThalwegError] = GeometryError) ->
     return str(caught.value)
 
 
-def doubted(compare: Callable[[], Any]) -> str:
+def doubted(compare):
     """A scan that is refused, or whose warning says that most of its lines lie aside."""
     try:
-        warnings: list[str] = compare()["warnings"]
+        warnings = compare()["warnings"]
     except GeometryError as error:
         return str(error)
     (text,) = [text for text in warnings if "half of the lines lie off" in text]
@@ -203,34 +198,22 @@ def tripod(tmp_path, scan):
     for name in names:
         write_image(folder / name, np.zeros((16, 16), np.uint8))
     write_pulses(tmp_path / "pulses.csv", gps_from_unix(stamps * 1e-6))
-    panel, camera = scan.panel, scan.tripod.camera
-    pd.DataFrame(
-        {
-            "marker": panel.marker,
-            **{f"{a}_mm": panel.measured_lcs_mm[:, i] for i, a in enumerate("xyz")},
-            "sigma_mm": 0.01,
-        }
-    ).to_csv(tmp_path / "panel.csv", index=False)
     new = dict(zip(scan.images, names, strict=True))
-    scan.marks.assign(file=scan.marks["file"].map(new)).to_csv(tmp_path / "marks.csv", index=False)
-    values = dict(zip(camera.parameter_names, camera.parameters.tolist(), strict=True))
-    (tmp_path / "camera.json").write_text(
-        json.dumps({"model": "perspective", "size_px": list(camera.size_px), "parameters": values})
-    )
+    marks = scan.marks.assign(file=scan.marks["file"].map(new))
+    write_panel_files(tmp_path, scan.panel, scan.tripod.camera, marks)
 
-    def locate(images: list[Path] | None = None, marks: Path | None = None) -> Path:
+    def locate():
+        files = {name: tmp_path / f"{name}.csv" for name in ("panel", "marks", "table")}
         run(
             "locate_sheet_sensor",
             tmp_path,
-            images=images or [folder],
-            panel=tmp_path / "panel.csv",
-            marks=marks or tmp_path / "marks.csv",
+            **files,
+            images=[folder],
             camera=tmp_path / "camera.json",
             pulses=[tmp_path / "pulses.csv"],
             poses=tmp_path / "out.npz",
-            table=tmp_path / "out.csv",
         )
-        return tmp_path / "out.csv"
+        return files["table"]
 
     return locate
 

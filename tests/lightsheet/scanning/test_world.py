@@ -38,7 +38,7 @@ FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
 START = 3.0e8
 
 
-def with_sigma(R: np.ndarray, shift_m: list[float], sigma_m: float, sigma_deg: float) -> Rigid:
+def with_sigma(R, shift_m, sigma_m, sigma_deg):
     C = np.diag([sigma_m**2] * 3 + [np.deg2rad(sigma_deg) ** 2] * 3)
     return Rigid(R=R, shift_m=np.array(shift_m), cov=C)
 
@@ -89,7 +89,7 @@ def test_images_out_of_order_or_of_another_run_are_refused(recorded):
     check_order(["a", "b", "c"], np.array([1.0, np.nan, 2.0]))
 
 
-def boat(t_gps_s: np.ndarray) -> Trajectory:
+def boat(t_gps_s):
     t = np.linspace(t_gps_s[0] - 1.0, t_gps_s[-1] + 1.0, 200)
     n = len(t)
     C = np.diag([0.02**2, 0.02**2, 0.03**2, 0.002**2, 0.002**2, 0.003**2])
