@@ -6,6 +6,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from thalweg.calibration import ConeReference, Position
+from thalweg.calibration.camera_lidar import CameraLidar, CameraLidarSettings, calibrate_camera_lidar
 from thalweg.core import Rigid, exp_rotation
 
 ELEVATIONS_DEG = np.arange(-15.0, 16.0, 2.0)
@@ -124,30 +125,16 @@ class Yard:
         rng = np.random.default_rng([self.seed, 1])
         out = []
         for cone in self.cones:
-            F = cone.frame()
             psi = np.tile(np.arange(16) * 2 * np.pi / 16, 2) + np.repeat([0, 0.2], 16)
             slant = np.repeat([0.36, 0.66], 16) + np.tile([0.05, 0.05, -0.05, -0.05], 8)
-            local = slant[:, None] * np.stack(
-                [
-                    np.sin(cone.half) * np.cos(psi),
-                    np.sin(cone.half) * np.sin(psi),
-                    np.full(32, np.cos(cone.half)),
-                ],
-                axis=1,
-            )
-            points = cone.apex + local @ F + self.sigma_mark_m * rng.standard_normal((32, 3))
+            s, c = np.sin(cone.half), np.cos(cone.half)
+            local = slant[:, None] * np.column_stack([s * np.cos(psi), s * np.sin(psi), np.full(32, c)])
+            points = cone.apex + local @ cone.frame() + self.sigma_mark_m * rng.standard_normal((32, 3))
             bad = rng.permutation(32)[: round(self.wrong_marks * 32)]
             points[bad] += 0.03 * rng.standard_normal((len(bad), 3))
             cov = np.eye(96) * self.sigma_mark_m**2
-            out.append(
-                ConeReference(
-                    name=cone.name,
-                    points_m=points,
-                    cov=cov,
-                    half_angle_rad=np.deg2rad(25.0),
-                    length_m=cone.length,
-                )
-            )
+            stated = {"half_angle_rad": np.deg2rad(25.0), "length_m": cone.length}
+            out.append(ConeReference(name=cone.name, points_m=points, cov=cov, **stated))
         return out
 
     def positions(self, count: int = 3) -> list[Position]:
@@ -162,15 +149,7 @@ class Yard:
         measured = Rigid(
             R=exp_rotation(error[3:]) @ pose.R, shift_m=pose.shift_m + error[:3], cov=np.diag(s**2)
         )
-        n = len(xyz)
-        variance = np.full(n, max(self.sigma_m, 1e-4) ** 2)
-        return Position(
-            name=f"position_{i + 1}",
-            T_pcs_ccs=measured,
-            points_scs_m=xyz,
-            var_along_m2=variance,
-            var_across_m2=variance,
-        )
+        return scanned(f"position_{i + 1}", measured, xyz, max(self.sigma_m, 1e-4))
 
     def scan(self, T: Rigid, rng: np.random.Generator) -> np.ndarray:
         """Points of a static scanner whose beams leave beside where they should."""
@@ -211,6 +190,39 @@ class Yard:
         r = best + self.sigma_m * rng.standard_normal(n) + self.constant_range_m
         good = np.isfinite(best) & (best < 60)
         return np.asarray(nominal[good] * r[good, None])
+
+
+def scanned(name: str, pose: Rigid, xyz: np.ndarray, sigma_m: float) -> Position:
+    """A scan whose points have one sigma along and across their beams."""
+    variance = np.full(len(xyz), sigma_m**2)
+    return Position(
+        name=name, T_pcs_ccs=pose, points_scs_m=xyz, var_along_m2=variance, var_across_m2=variance
+    )
+
+
+SEEN = ["C1", "C2", "C3", "C4", "C5", "C6"]
+"""Cones that the lidar sees from all positions."""
+LIKELY = 22.5
+"""Squared error of six degrees of freedom: 99.9 %."""
+
+
+def calibrated(
+    y: Yard,
+    positions: int | list[Position] = 3,
+    start: Rigid = NOMINAL,
+    references: list[ConeReference] | None = None,
+    **settings: object,
+) -> CameraLidar:
+    """The calibration of a yard from its first positions, or from given ones."""
+    given = y.positions(positions) if isinstance(positions, int) else positions
+    how = CameraLidarSettings(**settings)  # type: ignore[arg-type]
+    return calibrate_camera_lidar(references or y.references(), given, start, how)
+
+
+def square(result: CameraLidar, truth: Rigid) -> float:
+    """Squared error in units of its covariance."""
+    error = result.T_ccs_scs.error_from(truth)
+    return float(error @ np.linalg.solve(result.T_ccs_scs.cov, error))
 
 
 def post(o: np.ndarray, d: np.ndarray, middle: np.ndarray, radius: float, top: float) -> np.ndarray:

@@ -6,10 +6,14 @@ from typing import Final
 import numpy as np
 
 from thalweg.calibration import Bed
+from thalweg.calibration.ins_lidar import PoseErrors
 from thalweg.core import ArrayF, Trajectory, rotation_enu_body
 from thalweg_lab.random_numbers import generator
 from thalweg_lab.studies.cone_runs import START_S, RunSpec, measured_trajectory
 
+POSE_ERRORS: Final = PoseErrors(
+    sigma_position_m=np.array([0.02, 0.02, 0.03]), sigma_attitude_rad=np.deg2rad([0.1, 0.1, 0.2])
+)
 TRUE_LEVER_M: Final = np.array([-0.42, 0.13, 0.31])
 SIGMA_RULER_M: Final = np.array([0.03, 0.03, 0.03])
 _HZ: Final = 50.0
@@ -23,7 +27,7 @@ class EchoSpec:
 
     duration_s: float = 300.0
     relief_m: float = 0.5
-    reach_m: float = 22.0
+    reach_m: float = 12.0
     turning: bool = True
     sway: float = 1.0
     lag_s: float = 0.0

@@ -5,10 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from thalweg.calibration import MarkerLayout
-from thalweg.calibration.field import FieldDescription
-from thalweg.calibration.field.description import ScaleBar
-from thalweg.core import Camera, Rigid, exp_rotation
+from thalweg.calibration import MarkerLayout, block_of
+from thalweg.calibration.field import FieldDescription, FieldPoints, Layout, Problem, State, start_state
+from thalweg.calibration.field.description import ScaleBar, Target
+from thalweg.calibration.markers import Block
+from thalweg.core import ArrayF, Camera, LocalFrame, Rigid, exp_rotation
 
 SLR = Camera(
     model="perspective",
@@ -157,6 +158,13 @@ def truth_of(sheets: list[Sheet], points: tuple[tuple[int, int], ...]) -> np.nda
     return np.array([at[m].saddles[c] for m, c in points])
 
 
+def field_of(sheets: list[Sheet], root: np.ndarray, error: np.ndarray) -> FieldPoints:
+    """All saddles of sheets with errors (3n,) and the covariance ``root root^T``."""
+    names = tuple((s.marker, c) for s in sheets for c in range(4))
+    places = truth_of(sheets, names) + error.reshape(-1, 3)
+    return FieldPoints(points=names, points_pcs=places, cov=root @ root.T)
+
+
 def similarity(a: np.ndarray, b: np.ndarray, scale: bool = True) -> tuple[float, np.ndarray, np.ndarray]:
     """``b = s R a + t`` by least squares."""
     da, db = a - a.mean(axis=0), b - b.mean(axis=0)
@@ -168,3 +176,40 @@ def similarity(a: np.ndarray, b: np.ndarray, scale: bool = True) -> tuple[float,
 
 def rtk_targets(sheets: list[Sheet], markers: list[int]) -> dict[int, np.ndarray]:
     return {s.marker: s.saddles.mean(axis=0) for s in sheets if s.marker in markers}
+
+
+FRAME = LocalFrame(lat_deg=51.028, lon_deg=13.721, h_ell_m=160.0)
+PLACE = Rigid(R=exp_rotation([0, 0, 0.7]), shift_m=np.array([30.0, -20.0, 1.0]))
+RTK_M = (0.008, 0.008, 0.012)
+
+
+def targets(markers: list[int], places_wcs_m: np.ndarray) -> tuple[Target, ...]:
+    """Targets T1, T2 ... at places in the world."""
+    lat, lon, h = FRAME.to_geodetic(places_wcs_m)
+    return tuple(
+        Target(name=f"T{k + 1}", marker=m, lat_deg=lat[k], lon_deg=lon[k], h_ell_m=h[k], sigma_m=RTK_M)
+        for k, m in enumerate(markers)
+    )
+
+
+def targets_on(sheets: list[Sheet], markers: list[int]) -> tuple[Target, ...]:
+    """Targets of sheets of a yard that stands at `PLACE`."""
+    centres = rtk_targets(sheets, markers)
+    return targets(list(centres), PLACE.apply(np.array(list(centres.values()))))
+
+
+def of_slr(block: Block, used: ArrayF | None = None, free: tuple[str, ...] = ()) -> Problem:
+    """The adjustment of marks of one camera."""
+    used = np.ones(len(block.image), bool) if used is None else used
+    return Problem(block, np.zeros(len(block.images), int), used, (free,))
+
+
+def true_block(
+    sheets: list[Sheet], poses: dict[str, Rigid], marks: pd.DataFrame, free: tuple[str, ...] = ()
+) -> tuple[Problem, State, Layout]:
+    """Marks of the true camera, and the true poses and points."""
+    block = block_of(marks, {"slr": SLR})
+    at = {i: poses[name] for i, name in enumerate(block.images)}
+    x = start_state(block.images, (SLR,), at, truth_of(sheets, block.points))
+    problem = of_slr(block, free=free)
+    return problem, x, Layout(problem, x.cameras)

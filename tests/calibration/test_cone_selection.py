@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from thalweg.calibration import Cone, Position, Selection, SelectionLimits, Verdict, select
+from tests.calibration.cone_yard import scanned
+from thalweg.calibration import Cone, Selection, SelectionLimits, Verdict, select
 from thalweg.core import Rigid
 
 CONE = Cone(
@@ -20,15 +21,17 @@ def beams() -> np.ndarray:
     return d / np.linalg.norm(d, axis=1, keepdims=True)
 
 
-def selected(change=lambda r, d: r, **limits) -> tuple[Selection, np.ndarray, np.ndarray]:
+def selected(
+    change=lambda r, d: r, factor: float = 1.0, **limits
+) -> tuple[Selection, np.ndarray, np.ndarray]:
     """Points where beams meet the cone, or at 9 m; ``change`` puts other things in their way."""
     d = beams()
     met = CONE.meet(np.zeros(3), d)
     on = met.hit & (met.slant_m < LENGTH_M / np.cos(CONE.half_angle_rad))
     r = change(np.where(on, met.range_m, 9.0), d)
-    v = np.full(len(d), SIGMA_M**2)
-    scan = Position(name="p", T_pcs_ccs=HERE, points_scs_m=d * r[:, None], var_along_m2=v, var_across_m2=v)
-    return select([CONE], [LENGTH_M], HERE, scan, SelectionLimits(**limits)), d, on
+    scan = scanned("p", HERE, d * r[:, None], SIGMA_M)
+    found = select([CONE], [LENGTH_M], HERE, scan, SelectionLimits(**limits), variance_factor=factor)
+    return found, d, on
 
 
 def test_all_beams_that_meet_the_cone_have_a_verdict():
@@ -93,12 +96,9 @@ def test_slack_lets_a_cone_be_roughly_known():
 
 
 def test_the_nearer_of_two_cones_is_met():
-    behind = Cone(
-        apex_m=CONE.apex_m + np.array([0, 1.5, 0]), axis=CONE.axis, half_angle_rad=CONE.half_angle_rad
-    )
+    behind = CONE.moved(np.array([0, 1.5, 0, 0, 0, 0]))
     d = beams()
-    v = np.full(len(d), SIGMA_M**2)
-    scan = Position(name="p", T_pcs_ccs=HERE, points_scs_m=5 * d, var_along_m2=v, var_across_m2=v)
+    scan = scanned("p", HERE, 5 * d, SIGMA_M)
     for order, near in (((CONE, behind), 0), ((behind, CONE), 1)):
         found = select(order, [LENGTH_M] * 2, HERE, scan, SelectionLimits())
         both = (CONE.meet(np.zeros(3), d).slant_m < 0.7) & (behind.meet(np.zeros(3), d).slant_m < 0.7)
@@ -108,11 +108,6 @@ def test_the_nearer_of_two_cones_is_met():
 
 @pytest.mark.parametrize("factor", [0.25, 4.0])
 def test_the_variance_factor_scales_all_margins(factor):
-    d = beams()
-    met = CONE.meet(np.zeros(3), d)
-    r = np.where(met.hit, met.range_m, 9.0)
-    v = np.full(len(d), SIGMA_M**2)
-    scan = Position(name="p", T_pcs_ccs=HERE, points_scs_m=d * r[:, None], var_along_m2=v, var_across_m2=v)
-    found = select([CONE], [LENGTH_M], HERE, scan, SelectionLimits(), variance_factor=factor)
+    found, d, _ = selected(factor=factor)
     depth = CONE.meet(np.zeros(3), d[found.rows(0)]).depth_m
     assert depth.min() == pytest.approx(3 * SIGMA_M * np.sqrt(factor), abs=0.01)

@@ -5,18 +5,21 @@ import pytest
 from scipy.optimize import minimize_scalar
 from scipy.spatial.transform import Rotation
 
-from tests.calibration import cone_yard as _yard
+from tests.calibration.cone_yard import YardCone
 from thalweg.calibration import Cone
 from thalweg.calibration.cones import beam_spread
 from thalweg.core import ArrayF, Rigid
-
-YardCone = _yard.YardCone
 
 HALF = np.deg2rad(25.0)
 
 
 def some_cone(axis: tuple[float, float, float] = (0.5, -0.8, 0.2), half: float = HALF) -> Cone:
     return Cone(apex_m=np.array([1.0, 2.0, 0.5]), axis=np.array(axis), half_angle_rad=half)
+
+
+def upright(half: float) -> Cone:
+    """With its apex in the origin, open upwards."""
+    return Cone(apex_m=np.zeros(3), axis=np.array([0.0, 0.0, 1.0]), half_angle_rad=half)
 
 
 def beams_at(cone: Cone, origin: ArrayF, n: int, rng: np.random.Generator, wide: float = 0.25) -> ArrayF:
@@ -94,6 +97,7 @@ def test_beams_meet_where_another_derivation_says(rng, axis):
     d = beams_at(cone, origin, 400, rng)
     met = cone.meet(origin, d)
     other = YardCone("C", cone.apex_m, cone.axis, HALF, length=50.0).hits(np.tile(origin, (400, 1)), d)
+    # the other derivation leaves out the tip
     beyond = met.hit & (met.slant_m * np.cos(HALF) > 0.05)
     assert beyond.sum() > 100
     np.testing.assert_allclose(met.range_m[beyond], other[beyond], rtol=1e-10)
@@ -133,27 +137,27 @@ def test_the_excess_is_the_closed_form_for_small_noise(rng):
     )
 
 
-def test_a_beam_against_the_ruling_by_hand():
-    """A right-angled cone upright, met level from x = 5 at 2 m: at (2, 0, 2), all angles there 45 degrees."""
-    met = Cone(apex_m=np.zeros(3), axis=np.array([0.0, 0.0, 1.0]), half_angle_rad=np.pi / 4).meet(
-        [[5.0, 0.0, 2.0]], [[-1.0, 0.0, 0.0]]
-    )
+NORMAL = np.array([np.sqrt(0.75), 0.0, -0.5])
+
+
+@pytest.mark.parametrize(
+    ("half", "origin", "beam", "expected"),
+    [
+        # met at (2, 0, 2), all angles there 45 degrees
+        pytest.param(
+            np.pi / 4, [5.0, 0.0, 2.0], [-1.0, 0.0, 0.0], (3, 2**1.5, 0.5**0.5, 0.5**0.5), id="level"
+        ),
+        # 2 m along the surface, at (1, 0, sqrt 3)
+        pytest.param(
+            np.pi / 6, [1, 0, np.sqrt(3)] + 5 * NORMAL, -NORMAL, (5, 2, 1, 1), id="along the normal"
+        ),
+    ],
+)
+def test_where_and_how_a_beam_meets_an_upright_cone_by_hand(half, origin, beam, expected):
+    met = upright(half).meet(np.array([origin]), np.array([beam]))
     assert met.hit.tolist() == [True]
-    assert met.range_m[0] == pytest.approx(3.0)
-    assert met.slant_m[0] == pytest.approx(2 * np.sqrt(2))
-    assert met.cosine[0] == pytest.approx(np.sqrt(0.5))
-    assert met.sine_ruling[0] == pytest.approx(np.sqrt(0.5))
-
-
-def test_a_beam_along_the_normal_crosses_the_ruling_at_a_right_angle():
-    """Half angle 30 degrees, 2 m along the surface: (1, 0, sqrt 3), with the normal (cos 30, 0, -sin 30)."""
-    normal = np.array([np.sqrt(0.75), 0.0, -0.5])
-    cone = Cone(apex_m=np.zeros(3), axis=np.array([0.0, 0.0, 1.0]), half_angle_rad=np.pi / 6)
-    met = cone.meet(np.array([1.0, 0.0, np.sqrt(3.0)]) + 5 * normal, -normal[None])
-    assert met.range_m[0] == pytest.approx(5.0)
-    assert met.slant_m[0] == pytest.approx(2.0)
-    assert met.cosine[0] == pytest.approx(1.0)
-    assert met.sine_ruling[0] == pytest.approx(1.0)
+    found = met.range_m[0], met.slant_m[0], met.cosine[0], met.sine_ruling[0]
+    assert found == pytest.approx(expected)
 
 
 def test_tangents_of_an_axis_that_is_nearly_upright_are_unit_vectors():
@@ -180,28 +184,28 @@ def test_tangents_of_an_axis_that_is_nearly_upright_are_unit_vectors():
 )
 def test_how_deep_beams_go_by_hand(beam, depth):
     """A right-angled cone upright, beams from (3, 0.5, 2)."""
-    cone = Cone(apex_m=np.zeros(3), axis=np.array([0.0, 0.0, 1.0]), half_angle_rad=np.pi / 4)
     direction = np.array([beam]) / np.linalg.norm(beam)
-    assert cone.meet(np.array([3.0, 0.5, 2.0]), direction).depth_m[0] == pytest.approx(depth, rel=1e-12)
+    found = upright(np.pi / 4).meet(np.array([3.0, 0.5, 2.0]), direction).depth_m[0]
+    assert found == pytest.approx(depth, rel=1e-12)
 
 
-def test_one_tangent_is_level_by_hand():
+@pytest.mark.parametrize(
+    ("axis", "first", "second"),
+    [
+        ((0, -2, 0), (1, 0, 0), (0, 0, 1)),
+        ((0, 0, 1), (1, 0, 0), (0, 1, 0)),
+        ((0, 0, -1), (1, 0, 0), (0, -1, 0)),
+        ((3, 4, 0), (-0.8, 0.6, 0), (0, 0, 1)),
+    ],
+)
+def test_one_tangent_is_level_by_hand(axis, first, second):
     """A quarter to the left of the axis, seen from above; the other one is up, or on from there."""
-    for axis, first, second in (
-        ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
-        ((0.0, 1.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 0.0, 1.0)),
-        ((0.0, -2.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)),
-        ((0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)),
-        ((0.0, 0.0, -1.0), (1.0, 0.0, 0.0), (0.0, -1.0, 0.0)),
-        ((3.0, 4.0, 0.0), (-0.8, 0.6, 0.0), (0.0, 0.0, 1.0)),
-    ):
-        np.testing.assert_allclose(some_cone(axis).tangents, [first, second], atol=1e-15)
+    np.testing.assert_allclose(some_cone(axis).tangents, [first, second], atol=1e-15)
 
 
 def test_on_the_axis_the_first_tangent_is_across():
     """2 m up the axis of a cone of 30 degrees: 1 m inside; the normal leans away from the body."""
-    cone = Cone(apex_m=np.zeros(3), axis=np.array([0.0, 0.0, 1.0]), half_angle_rad=np.pi / 6)
-    seen = cone.see([[0.0, 0.0, 2.0]])
+    seen = upright(np.pi / 6).see([[0.0, 0.0, 2.0]])
     np.testing.assert_allclose(seen.distance_m, [-1.0])
     np.testing.assert_allclose(seen.slant_m, [np.sqrt(3.0)])
     np.testing.assert_allclose(seen.normal, [[np.sqrt(0.75), 0.0, -0.5]])

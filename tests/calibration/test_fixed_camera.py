@@ -8,8 +8,8 @@ import pandas as pd
 import pytest
 from PIL import Image
 from scipy.spatial.transform import Rotation
-from scipy.stats import chi2
 
+from tests.bands import band
 from thalweg.accuracy import verdict_of
 from thalweg.calibration import read_camera, resect_series, starting_lens
 from thalweg.calibration.camera_files import free_of_lens
@@ -27,18 +27,35 @@ CAMERA = Camera(
 )
 
 
+R = Rotation.from_euler("x", -100, degrees=True).as_matrix()
+"""The camera looks north, slightly down."""
+
+
+def places(rng: np.random.Generator, n: int = 9) -> np.ndarray:
+    """Points (n, 3) in sight of a camera at the origin."""
+    return np.column_stack([rng.uniform(-25, 25, n), rng.uniform(60, 120, n), rng.uniform(-25, 5, n)])
+
+
+def tables(X: np.ndarray, xy: np.ndarray, image: str = "a") -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Marks of a picture, and control points P0, P1 ..."""
+    names = [f"P{i}" for i in range(len(X))]
+    marks = pd.DataFrame({"image": image, "point": names, "x_px": xy[:, 0], "y_px": xy[:, 1]})
+    return marks, pd.DataFrame({"point": names, **dict(zip("xyz", X.T, strict=True))})
+
+
+def xyz(poses: pd.DataFrame, prefix: str = "") -> np.ndarray:
+    """Places (n, 3), or with ``sigma_`` their standard deviations."""
+    return poses[[f"{prefix}{axis}_m" for axis in "xyz"]].to_numpy(float)
+
+
 def test_errors_of_places_are_those_that_the_sigmas_state():
     """24 pictures with points far from the origin, normal errors of image points and of control points."""
     rng = np.random.default_rng(11)
-    R = Rotation.from_euler("x", -100, degrees=True).as_matrix()  # looks north, slightly down
     true_m, squares, contradicted = np.array([500_000.0, 5_600_000.0, 320.0]), [], 0
-    local = np.column_stack([rng.uniform(-25, 25, 9), rng.uniform(60, 120, 9), rng.uniform(-25, 5, 9)])
-    for seed in range(24):
+    local = places(rng)
+    for _ in range(24):
         moved = local + rng.normal(0, 0.02, local.shape)
-        xy = CAMERA.project(moved @ R) + rng.normal(0, 0.8, (9, 2))
-        names = [f"P{i}" for i in range(9)]
-        marks = pd.DataFrame({"image": f"{seed}", "point": names, "x_px": xy[:, 0], "y_px": xy[:, 1]})
-        points = pd.DataFrame({"point": names, **dict(zip("xyz", (local + true_m).T, strict=True))})
+        marks, points = tables(local + true_m, CAMERA.project(moved @ R) + rng.normal(0, 0.8, (9, 2)))
         try:
             poses, *_ = resect_series(
                 CAMERA, marks, points, sigma_px=0.8, sigma_point_m=0.02, interior="fixed"
@@ -46,13 +63,11 @@ def test_errors_of_places_are_those_that_the_sigmas_state():
         except GeometryError:
             contradicted += 1
             continue
-        row = poses.iloc[0]
-        assert row.refused == ""
-        error = row[["x_m", "y_m", "z_m"]].to_numpy(float) - true_m
-        squares.append((error / row[["sigma_x_m", "sigma_y_m", "sigma_z_m"]].to_numpy(float)) ** 2)
+        assert poses["refused"][0] == ""
+        squares.append(((xyz(poses)[0] - true_m) / xyz(poses, "sigma_")[0]) ** 2)
     # one of a thousand right lenses is doubted by chance
     assert contradicted <= 1
-    low, high = chi2.ppf([0.001, 0.999], len(squares)) / len(squares)
+    low, high = band(len(squares))
     assert (low < np.mean(squares, axis=0)).all()
     assert (np.mean(squares, axis=0) < high).all()
 
@@ -78,13 +93,13 @@ def test_a_glacier_camera(camera, pictures, centre_m, within_m, rms_px, data_dir
     ]
     marks = pd.concat(tables).rename(columns={"label": "point", "x": "x_px", "y": "y_px"})
     marks.to_csv(tmp_path / "marks.csv", index=False)
-    words = ["resect", *(str(tmp_path / name) for name in ("marks.csv",)), "--sigma-px", "5"]
-    files = ["--points", str(tmp_path / "points.csv"), "--camera", str(folder / f"calib/{camera}.txt")]
-    words += [*files, "--sigma-point", "0.02", "-o", str(tmp_path / "poses.csv")]
+    words = ["resect", str(tmp_path / "marks.csv"), "--sigma-px", "5", "--sigma-point", "0.02"]
+    words += ["--points", str(tmp_path / "points.csv"), "--camera", str(folder / f"calib/{camera}.txt")]
+    words += ["-o", str(tmp_path / "poses.csv")]
     assert main([*words, "--largest-sigma", "20"]) == 0
     poses = pd.read_csv(tmp_path / "poses.csv").dropna(subset="x_m")
-    place, sigma = (poses[[f"{s}{a}_m" for a in "xyz"]].to_numpy() for s in ("", "sigma_"))
-    assert (np.abs(place - np.array(centre_m)) < 2 * sigma).all()
+    sigma = xyz(poses, "sigma_")
+    assert (np.abs(xyz(poses) - centre_m) < 2 * sigma).all()
     assert sigma.max() > 3.0
     assert "states no standard deviations: it counts as a guess" in capsys.readouterr().out
     assert main([*words, "--force", "--interior", "weighted"]) == 2
@@ -97,43 +112,34 @@ def test_a_glacier_camera(camera, pictures, centre_m, within_m, rms_px, data_dir
     three = poses["image"].map(n) < 4
     assert all(text.startswith("3 known marks") for text in poses.loc[three, "refused"])
     assert poses.loc[~three, "refused"].isna().all()
-    for row in poses[~three].itertuples():
-        assert (row.x_m, row.y_m, row.z_m) == pytest.approx(centre_m, abs=within_m)
+    for place in xyz(poses[~three]):
+        assert place == pytest.approx(centre_m, abs=within_m)
     found = poses.loc[~three, "rms_px"]
     assert (found.min(), found.max()) == pytest.approx(rms_px, abs=0.006)
 
 
 def test_bad_tables_are_refused(tmp_path):
     path = tmp_path / "marks.csv"
-    path.write_text("image,point,x_px,y_px\na,P1,1,2\na,P1,3,4\n")
-    with pytest.raises(InputError, match="point P1 stands twice in image a"):
-        read_all_marks([path])
-    path.write_text("image,point,x_px,y_px\na,P1,1,2\na,P2,3,\n")
-    with pytest.raises(InputError, match="no y_px"):
-        read_all_marks([path])
-    points = pd.DataFrame({"point": ["A"], "x": [0.0], "y": [0.0], "z": [0.0]})
-    marks = pd.DataFrame({"image": ["a"], "point": ["B"], "x_px": [1.0], "y_px": [1.0]})
+    for row, told in (("a,P1,3,4", "point P1 stands twice in image a"), ("a,P2,3,", "no y_px")):
+        path.write_text(f"image,point,x_px,y_px\na,P1,1,2\n{row}\n")
+        with pytest.raises(InputError, match=told):
+            read_all_marks([path])
+    marks, points = tables(np.zeros((1, 3)), np.ones((1, 2)))
     with pytest.raises(InputError, match=r"none of the image points \(B\) is a control point"):
-        resect_series(CAMERA, marks, points)
+        resect_series(CAMERA, marks.assign(point="B"), points)
 
 
 @pytest.mark.parametrize("xy", [(-1.0, 2.0), (10.0, 3000.5)])
 def test_marks_outside_of_the_picture_of_the_lens_are_refused(xy):
     """Such are marks from the middle of the picture, in a turned one, or in one of another size."""
-    points = pd.DataFrame({"point": ["A"], "x": [0.0], "y": [0.0], "z": [0.0]})
-    marks = pd.DataFrame({"image": ["a"], "point": ["A"], "x_px": [xy[0]], "y_px": [xy[1]]})
-    with pytest.raises(InputError, match=r"the mark of A at .* in a; expected pixels inside of 4000 x 3000"):
-        resect_series(CAMERA, marks, points)
+    with pytest.raises(InputError, match=r"the mark of P0 at .* in a; expected pixels inside of 4000 x 3000"):
+        resect_series(CAMERA, *tables(np.zeros((1, 3)), np.array([xy])))
 
 
 def test_pictures_of_another_size_than_the_lens_are_told(tmp_path):
-    R = Rotation.from_euler("x", -100, degrees=True).as_matrix()
-    rng = np.random.default_rng(2)
-    X = np.column_stack([rng.uniform(-25, 25, 9), rng.uniform(60, 120, 9), rng.uniform(-25, 5, 9)])
-    rows = [f"a.png,P{k},{x:.2f},{y:.2f}" for k, (x, y) in enumerate(CAMERA.project(X @ R))]
-    (tmp_path / "m.csv").write_text("\n".join(["image,point,x_px,y_px", *rows]) + "\n")
-    rows = [f"P{k},{x:.4f},{y:.4f},{z:.4f}" for k, (x, y, z) in enumerate(X)]
-    (tmp_path / "p.csv").write_text("\n".join(["id,x,y,z", *rows]) + "\n")
+    X = places(np.random.default_rng(2))
+    for name, table in zip("mp", tables(X, CAMERA.project(X @ R), "a.png"), strict=True):
+        table.to_csv(tmp_path / f"{name}.csv", index=False)
     write_opencv(tmp_path / "lens.yaml", CAMERA)
     for size, told in (((2000, 1500), True), ((4000, 3000), False)):
         Image.new("L", size).save(tmp_path / "a.png")
@@ -154,31 +160,27 @@ def test_tables_for_each_picture_are_called_like_it(tmp_path):
 def test_a_camera_that_stays_and_one_that_moved():
     """Differences from picture to picture are judged by the marks alone: points and lens err alike in all."""
     rng = np.random.default_rng(3)
-    R = Rotation.from_euler("x", -100, degrees=True).as_matrix()
-    local = np.column_stack([rng.uniform(-25, 25, 10), rng.uniform(60, 120, 10), rng.uniform(-25, 5, 10)])
+    local = places(rng, 10)
     # surveyed 10 cm wrong: all poses err by centimetres, and none against another
     surveyed = local + rng.normal(0, 0.1, local.shape)
-    names = [f"P{i}" for i in range(10)]
 
     def facts_of(shift_m: float) -> dict[str, float]:
-        tables = []
+        marks = []
         for k in range(16):
-            at = np.array([shift_m if k >= 8 else 0.0, 0.0, 0.0])
-            xy = CAMERA.project((local - at) @ R) + rng.normal(0, 0.5, (10, 2))
-            tables.append(pd.DataFrame({"image": f"{k}", "point": names, "x_px": xy[:, 0], "y_px": xy[:, 1]}))
-        points = pd.DataFrame({"point": names, **dict(zip("xyz", surveyed.T, strict=True))})
-        poses, *_ = resect_series(CAMERA, pd.concat(tables), points, sigma_px=0.5, sigma_point_m=0.1)
+            xy = CAMERA.project((local - [shift_m if k >= 8 else 0.0, 0.0, 0.0]) @ R)
+            of_picture, points = tables(surveyed, xy + rng.normal(0, 0.5, (10, 2)), f"{k}")
+            marks.append(of_picture)
+        poses, *_ = resect_series(CAMERA, pd.concat(marks), points, sigma_px=0.5, sigma_point_m=0.1)
         assert (poses["sigma_x_m"] > 1.5 * poses["sigma_change_x_m"]).all()
         return history_facts(poses)
 
     still = facts_of(0.0)
     assert still["degrees"] == 45
     # residuals of the wrong points add nothing to differences; 45 degrees of freedom: 99.9 % of cases
-    low, high = chi2.ppf([0.0005, 0.9995], 45) / 45
+    low, high = band(45)
     assert low < still["normalised"] < high
     assert verdict_of(still["normalised"], 45) == "consistent"
-    moved = facts_of(0.2)
-    assert verdict_of(moved["normalised"], 45) == "too optimistic"
+    assert verdict_of(facts_of(0.2)["normalised"], 45) == "too optimistic"
 
 
 def test_what_is_told_of_a_series_by_hand():
@@ -206,9 +208,7 @@ def test_what_is_to_be_estimated_of_a_lens():
     """What a covariance observes is left to it; the focal length is one unknown, in pixels of the mean."""
     cov = np.zeros((9, 9))
     cov[2, 2] = cov[4, 4] = 0.25
-    camera = replace(CAMERA, parameters=CAMERA.parameters + np.eye(9)[1] * 200.0).with_parameters(
-        CAMERA.parameters + np.eye(9)[1] * 200.0, cov
-    )
+    camera = CAMERA.with_parameters(CAMERA.parameters + np.eye(9)[1] * 200.0, cov)
     names = camera.parameter_names
     found = free_of_lens(camera, ["focal", "centre", names[4], names[5]])
     assert list(found) == ["focal", names[3], names[5]]
@@ -217,17 +217,10 @@ def test_what_is_to_be_estimated_of_a_lens():
 
 
 def test_check_points_take_no_part():
-    rng = np.random.default_rng(8)
-    R = Rotation.from_euler("x", -90, degrees=True).as_matrix()
-    local = np.column_stack([rng.uniform(-20, 20, 8), rng.uniform(60, 90, 8), rng.uniform(-15, 15, 8)])
-    names = [f"P{i}" for i in range(8)]
-    xy = CAMERA.project(local @ R)
-    marks = pd.DataFrame({"image": "a", "point": names, "x_px": xy[:, 0], "y_px": xy[:, 1]})
+    local = places(np.random.default_rng(8), 8)
+    marks, points = tables(local, CAMERA.project(local @ R))
     marks.loc[7, "x_px"] += 30.0
-    points = pd.DataFrame(
-        {"point": names, **dict(zip("xyz", local.T, strict=True)), "check": [False] * 7 + [True]}
-    )
-    poses, residuals, *_ = resect_series(CAMERA, marks, points)
+    poses, residuals, *_ = resect_series(CAMERA, marks, points.assign(check=points["point"] == "P7"))
     assert poses["points"][0] == 7
     assert poses["rms_px"][0] < 1e-3
     assert poses["check_rms_px"][0] == pytest.approx(30.0, abs=0.01)
@@ -248,18 +241,11 @@ def test_columns_of_a_pose_by_hand():
 
 def test_poses_and_residuals_of_two_pictures():
     """Marks without errors but for one of 40 px; a picture of three marks and a mark of no point."""
-    rng = np.random.default_rng(4)
-    R = Rotation.from_euler("x", -90, degrees=True).as_matrix()
-    local = np.column_stack([rng.uniform(-20, 20, 8), rng.uniform(60, 90, 8), rng.uniform(-15, 15, 8)])
-    names = [f"P{i}" for i in range(8)]
-    xy = CAMERA.project(local @ R)
-    marks = pd.DataFrame({"image": "a", "point": names, "x_px": xy[:, 0], "y_px": xy[:, 1]})
+    local, place_m = places(np.random.default_rng(4), 8), [100.0, 200.0, 30.0]
+    marks, points = tables(local + place_m, CAMERA.project(local @ R))
     wrong = marks.assign(image="b")
     wrong.loc[3, "y_px"] += 40.0
     few = marks[:3].assign(image="c")
-    points = pd.DataFrame(
-        {"point": names, **dict(zip("xyz", (local + np.array([100.0, 200.0, 30.0])).T, strict=True))}
-    )
     unknown = marks[:1].assign(point="nowhere")
     poses, residuals, *_ = resect_series(CAMERA, pd.concat([marks, wrong, few, unknown]), points)
     assert poses["image"].tolist() == ["a", "b", "c"]
@@ -267,7 +253,7 @@ def test_poses_and_residuals_of_two_pictures():
     assert poses["refused"].tolist()[:2] == ["", ""]
     assert poses["refused"][2].startswith("3 known marks")
     for row in poses[:2].itertuples():
-        assert (row.x_m, row.y_m, row.z_m) == pytest.approx((100.0, 200.0, 30.0), abs=2e-3)
+        assert (row.x_m, row.y_m, row.z_m) == pytest.approx(place_m, abs=2e-3)
         turn = Rotation.from_quat([row.qx, row.qy, row.qz, row.qw]).as_matrix()
         assert turn == pytest.approx(R, abs=1e-4)
     assert poses["rms_px"][0] == pytest.approx(0.0, abs=1e-3)
@@ -283,15 +269,13 @@ def hillside(seed: int, *, noise_px: float, n: int = 28) -> tuple[Camera, pd.Dat
     f = 4000 * rng.uniform(0.7, 1.4)
     lens = [f, f, *rng.normal([2000, 1500], 40), *rng.normal(0, 0.1, 2), 0, 0, 0]
     camera = Camera(model="perspective", size_px=(4000, 3000), parameters=np.array(lens))
-    R = Rotation.from_euler("x", -95, degrees=True).as_matrix()
-    rays = camera.rays(rng.uniform([200, 400], [3800, 2800], (8 * n, 2))) @ R.T
+    R_slope = Rotation.from_euler("x", -95, degrees=True).as_matrix()
+    rays = camera.rays(rng.uniform([200, 400], [3800, 2800], (8 * n, 2))) @ R_slope.T
     # where they meet the slope up = 0.35 (north - 300) - 80
     X = rays * (-185 / (rays[:, 2] - 0.35 * rays[:, 1]))[:, None]
     X = X[(X[:, 1] > 200) & (X[:, 1] < 1500)][:n] + np.outer(rng.uniform(-8, 8, n), [0, 0, 1])
-    xy = np.clip(camera.project(X @ R) + rng.normal(0, noise_px, (n, 2)), 0, (4000, 3000))
-    names = [f"P{i}" for i in range(n)]
-    marks = pd.DataFrame({"image": "a", "point": names, "x_px": xy[:, 0], "y_px": xy[:, 1]})
-    return camera, marks, pd.DataFrame({"point": names, **dict(zip("xyz", X.T, strict=True))})
+    xy = np.clip(camera.project(X @ R_slope) + rng.normal(0, noise_px, (n, 2)), 0, (4000, 3000))
+    return (camera, *tables(X, xy))
 
 
 def test_an_unknown_focal_length_errs_as_its_sigma_states():
@@ -305,7 +289,7 @@ def test_an_unknown_focal_length_errs_as_its_sigma_states():
         assert lens.parameters[0] == lens.parameters[1]
         squares.append((lens.parameters[0] - true.parameters[0]) ** 2 / lens.cov[0, 0])
         assert np.sqrt(lens.cov[0, 0]) < 0.02 * lens.parameters[0]
-    low, high = chi2.ppf([0.001, 0.999], len(squares)) / len(squares)
+    low, high = band(len(squares))
     assert low < np.mean(squares) < high
 
 
@@ -359,12 +343,10 @@ def test_a_camera_without_sigmas_is_a_guess():
         camera = without_sigma(true, rng.choice([-1, 1]) * rng.uniform(0.01, 0.03))
         poses, _, lens, notes = resect_series(camera, marks, points, largest_sigma_m=50)
         assert notes[0].startswith("The interior orientation of camera states no standard deviations")
-        row = poses.iloc[0]
-        place, sigma = (row[[f"{s}{a}_m" for a in "xyz"]].to_numpy(float) for s in ("", "sigma_"))
-        squares.append((place / sigma) ** 2)
+        squares.append((xyz(poses) / xyz(poses, "sigma_")) ** 2)
         assert abs(lens.parameters[0] - true.parameters[0]) < 4 * np.sqrt(lens.cov[0, 0])
     # three coordinates of one place are no three values
-    low, high = chi2.ppf([0.001, 0.999], len(squares)) / len(squares)
+    low, high = band(len(squares))
     assert low < np.mean(squares) < high
 
 
@@ -381,8 +363,7 @@ def test_marks_contradict_an_interior_orientation_whatever_sigma_they_state(nois
             resect_series(given, marks, points, sigma_px=sigma_px, interior=interior)
     poses, _, lens, notes = resect_series(stated, marks, points, sigma_px=sigma_px)
     assert notes[0].startswith("The marks contradict the interior orientation of camera")
-    row = poses.iloc[0]
-    assert np.linalg.norm(row[["x_m", "y_m", "z_m"]].to_numpy(float)) < 3 * row.sigma_y_m
+    assert np.linalg.norm(xyz(poses)) < 3 * poses["sigma_y_m"][0]
     assert lens.parameters[0] == pytest.approx(true.parameters[0], rel=0.01)
     # the right lens is believed
     right = replace(true, cov=stated.cov)

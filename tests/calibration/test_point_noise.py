@@ -8,11 +8,16 @@ from thalweg.calibration.ins_lidar.model import LEAST_SHARE, MOST, BeamNoise, es
 STATED = BeamNoise(along_m=0.0173, across_m=0.0173)
 
 
+def test_noise_along_and_across_the_beam_are_two_numbers():
+    """Along 20 mm, across 30 mm; at a cosine of 0.6 both: 0.36 x 400 + 0.64 x 900 = 720 mm^2."""
+    noise = BeamNoise(along_m=0.02, across_m=0.03)
+    np.testing.assert_allclose(noise.variance_along(np.array([1.0, 0.0, 0.6])), [4e-4, 9e-4, 7.2e-4])
+
+
 @pytest.mark.parametrize(("along", "across"), [(0.010, 0.030), (0.030, 0.010), (0.026, 0.026)])
 def test_noise_along_and_across_are_told_apart(rng, along, across):
     cosine = rng.uniform(0.5, 1.0, 20_000)
-    # by hand: a beam at 60 degrees has a quarter of the noise along it and three quarters of that across
-    sigma = np.sqrt(along**2 * cosine**2 + across**2 * (1 - cosine**2))
+    sigma = np.sqrt(BeamNoise(along_m=along, across_m=across).variance_along(cosine))
     found = estimate_noise(0.8 * sigma * rng.standard_normal(20_000), cosine, 0.64, STATED)
     # 20 000 squares: a half per cent for one sigma, four per cent where two share them
     assert found.along_m == pytest.approx(along, rel=0.06)

@@ -1,15 +1,16 @@
 """Processes of pose errors: their inverse covariance, and the elimination against dense algebra."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from tests.calibration.echo_runs import POSE_ERRORS
 from thalweg.calibration.ins_lidar import BorderedNormals, Knots, PoseErrors, pose_rows
 from thalweg.calibration.ins_lidar.pose_errors import SLOW, turns
 from thalweg.core import ArrayF, CoverageError, exp_rotation, rotation_enu_body
 
-ERRORS = PoseErrors(
-    sigma_position_m=np.array([0.02, 0.02, 0.03]), sigma_attitude_rad=np.deg2rad([0.1, 0.1, 0.2]), knot_s=0.5
-)
+ERRORS = replace(POSE_ERRORS, knot_s=0.5)
 
 
 def dense(band: ArrayF) -> ArrayF:
@@ -22,26 +23,20 @@ def dense(band: ArrayF) -> ArrayF:
 
 @pytest.mark.parametrize("white", [0.0, 0.25])
 def test_the_prior_is_the_inverse_of_the_covariance_of_the_processes(white):
-    errors = PoseErrors(
-        sigma_position_m=ERRORS.sigma_position_m,
-        sigma_attitude_rad=ERRORS.sigma_attitude_rad,
-        knot_s=0.5,
-        white_share=white,
-    )
+    errors = replace(ERRORS, white_share=white)
     knots = Knots.over(0.0, 2.2, errors)
     band, logdet = knots.prior(errors)
     C = np.linalg.inv(dense(band))
     # covariance of the errors at two times, by the interpolation that observations use
     t = np.array([0.0, 1.5])
-    east = np.array([knots.at(unit, t)[:, 0] for unit in np.eye(knots.n)])
-    roll = np.array([knots.at(unit, t)[:, 3] for unit in np.eye(knots.n)])
+    east, roll = (np.array([knots.at(unit, t)[:, k] for unit in np.eye(knots.n)]) for k in (0, 3))
     # at knots the processes are exact; 1e-9: float64 through an inverse
-    assert east.T @ C @ east == pytest.approx(
-        0.02**2 * np.array([[1, (1 - white) * np.exp(-0.15)], [(1 - white) * np.exp(-0.15), 1]]), rel=1e-9
-    )
-    assert roll.T @ C @ roll == pytest.approx(
-        np.deg2rad(0.1) ** 2 * np.array([[1, np.exp(-1.5 / 20)], [np.exp(-1.5 / 20), 1]]), rel=1e-9
-    )
+    for found, sigma, alike in (
+        (east, 0.02, (1 - white) * np.exp(-0.15)),
+        (roll, np.deg2rad(0.1), np.exp(-1.5 / 20)),
+    ):
+        expected = sigma**2 * np.array([[1, alike], [alike, 1]])
+        assert found.T @ C @ found == pytest.approx(expected, rel=1e-9)
     assert logdet == pytest.approx(np.linalg.slogdet(dense(band))[1], rel=1e-12)
 
 

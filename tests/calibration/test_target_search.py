@@ -8,16 +8,15 @@ from thalweg.calibration import Cone, SearchRange
 from thalweg.calibration.target_search import Targets, balance, normal_set, passing, search_targets
 from thalweg.core import GeometryError, Rigid, exp_rotation
 
-AT = [
-    Rigid(R=exp_rotation(np.array([0.3, -0.2, 1.0])), shift_m=np.array([4.0, -3.0, 1.0])),
-    Rigid(R=exp_rotation(np.array([-0.1, 0.4, -2.0])), shift_m=np.array([-2.0, 5.0, 2.0])),
-]
+AT = Rigid(R=exp_rotation(np.array([0.3, -0.2, 1.0])), shift_m=np.array([4.0, -3.0, 1.0]))
 MOUNT = Rigid(R=exp_rotation(np.array([1.2, 0.5, -0.4])), shift_m=np.array([0.3, -0.1, 0.2]))
+POSE = AT @ MOUNT
 
 
-def cone() -> Cone:
+def cone(length_m: float) -> Targets:
     """Upright, apex 2 m above the origin of pcs, 30 degrees."""
-    return Cone(apex_m=np.array([0.0, 0.0, 2.0]), axis=np.array([0.0, 0.0, -1.0]), half_angle_rad=np.pi / 6)
+    apex, down = np.array([0.0, 0.0, 2.0]), np.array([0.0, 0.0, -1.0])
+    return Targets.cones([Cone(apex_m=apex, axis=down, half_angle_rad=np.pi / 6)], [length_m])
 
 
 def met(scanner_m: np.ndarray, n: int, rng: np.random.Generator, lowest_m: float = 0.9) -> np.ndarray:
@@ -31,24 +30,21 @@ def met(scanner_m: np.ndarray, n: int, rng: np.random.Generator, lowest_m: float
 def test_the_balance_counts_beams_that_met_and_that_went_through():
     """A point on the surface is one more, behind it one less, before it none; six centimetres count."""
     rng = np.random.default_rng(7)
-    pose = AT[0] @ MOUNT
-    on = met(pose.shift_m, 60, rng)
-    ray = (on - pose.shift_m) / np.linalg.norm(on - pose.shift_m, axis=1, keepdims=True)
+    on = met(POSE.shift_m, 60, rng)
+    ray = (on - POSE.shift_m) / np.linalg.norm(on - POSE.shift_m, axis=1, keepdims=True)
     along = np.repeat([0.0, 0.05, -0.05, 0.07, -0.07, 3.0], 10)
     # below the end of the cone, behind the scanner, and through its back alone
-    aside = np.concatenate([met(pose.shift_m, 20, rng, 0.1) - [0, 0, 1.2], 2 * pose.shift_m - on[:10]])
-    points = np.concatenate([on + along[:, None] * ray, aside])
-    targets = Targets.cones([cone()], [1.0])
-    assert balance(targets, AT[0], pose.inverse().apply(points), MOUNT) == pytest.approx((30 - 20) / 60)
-    few = pose.inverse().apply(on[:24])
-    assert balance(targets, AT[0], few, MOUNT) == -1.0
+    aside = np.concatenate([met(POSE.shift_m, 20, rng, 0.1) - [0, 0, 1.2], 2 * POSE.shift_m - on[:10]])
+
+    def of(targets: Targets, points: np.ndarray) -> float:
+        return balance(targets, AT, POSE.inverse().apply(points), MOUNT)
+
+    assert of(cone(1.0), np.concatenate([on + along[:, None] * ray, aside])) == pytest.approx((30 - 20) / 60)
+    assert of(cone(1.0), on[:24]) == -1.0  # too few
     # a shorter cone ends above the lowest points
-    short = Targets.cones([cone()], [0.5])
-    n = int((2.0 - on[:10, 2] <= 0.5).sum())
-    whole = pose.inverse().apply(np.concatenate([on[:10], np.repeat(on[on[:, 2] > 1.6][:1], 30, axis=0)]))
-    assert balance(short, AT[0], whole, MOUNT) == 1.0
-    assert 0 < n < 10
-    spheres = Targets.cones([cone()], [1.5])
+    assert 0 < (2.0 - on[:10, 2] <= 0.5).sum() < 10
+    assert of(cone(0.5), np.concatenate([on[:10], np.repeat(on[on[:, 2] > 1.6][:1], 30, axis=0)])) == 1.0
+    spheres = cone(1.5)
     np.testing.assert_allclose(spheres.centre, [[0.0, 0.0, 1.25]])
     np.testing.assert_allclose(spheres.radius_m, np.hypot(0.75, 1.5 * np.tan(np.pi / 6)))
 
@@ -64,14 +60,12 @@ def test_a_board_is_met_from_its_front_within_its_sides_in_its_own_scan():
     targets = Targets.boards([front], np.array([[0.4, 0.25]]))
     np.testing.assert_allclose(targets.radius_m, [np.hypot(0.4, 0.25)])
     assert balance(targets, at, points, MOUNT) == 1.0
-    gone = inside.copy()
-    gone[np.flatnonzero(inside)[10:]] = False
-    through = points * np.where(gone, 1.5, 1.0)[:, None]
+    through = points.copy()
+    through[np.flatnonzero(inside)[:10]] *= 1.5
     n = inside.sum()
     assert balance(targets, at, through, MOUNT) == pytest.approx((n - 20) / n)
-    back = Targets.boards(
-        [Rigid(R=front.R @ np.diag([1.0, -1, -1]), shift_m=front.shift_m)], np.array([[0.4, 0.25]])
-    )
+    facing_away = Rigid(R=front.R @ np.diag([1.0, -1, -1]), shift_m=front.shift_m)
+    back = Targets.boards([facing_away], np.array([[0.4, 0.25]]))
     assert balance(back, at, points, MOUNT) == -1.0
     later = Targets.boards([front, front], np.array([[0.01, 0.01], [0.4, 0.25]]))
     assert balance(later, at, points, MOUNT) == -1.0, "the second board is in the second scan alone"
@@ -79,17 +73,15 @@ def test_a_board_is_met_from_its_front_within_its_sides_in_its_own_scan():
 
 
 def test_beams_near_a_target_are_thinned_evenly():
-    pose = AT[0] @ MOUNT
-    arm = -pose.shift_m
+    arm = -POSE.shift_m
     beam = np.array([arm, -arm, arm + np.array([0.0, 0.0, 3.0])])
     beam /= np.linalg.norm(beam, axis=1, keepdims=True)
     miss = np.linalg.norm(np.cross(beam[2], arm))
-    assert passing(np.zeros(3), miss * 1.01, pose.shift_m, beam).tolist() == [0, 2]
-    assert passing(np.zeros(3), miss * 0.99, pose.shift_m, beam).tolist() == [0]
-    points = pose.inverse().apply(met(pose.shift_m, 101, np.random.default_rng(2)))
-    targets = Targets.cones([cone()], [1.0])
-    np.testing.assert_array_equal(targets.near(0, points, pose, 0.0, 101), points)
-    np.testing.assert_array_equal(targets.near(0, points, pose, 0.0, 5), points[::25])
+    assert passing(np.zeros(3), miss * 1.01, POSE.shift_m, beam).tolist() == [0, 2]
+    assert passing(np.zeros(3), miss * 0.99, POSE.shift_m, beam).tolist() == [0]
+    points = POSE.inverse().apply(met(POSE.shift_m, 101, np.random.default_rng(2)))
+    for most, kept in ((101, points), (5, points[::25])):
+        np.testing.assert_array_equal(cone(1.0).near(0, points, POSE, 0.0, most), kept)
 
 
 def test_tries_fill_a_normal_distribution_and_begin_with_the_sequence_of_roberts():

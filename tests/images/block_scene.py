@@ -1,18 +1,24 @@
 """A block of images along a bank with known truth, and errors of marks that are related along a track."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from itertools import pairwise
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pandas as pd
 from scipy.spatial.transform import Rotation
 
-from thalweg.core import ArrayF, Camera, exp_rotation
+from thalweg.core import ArrayF, Camera, LocalFrame, exp_rotation
 from thalweg.images.bundle import AdjustedBlock
+from thalweg.images.bundle.job import mark_rows
 from thalweg.images.bundle.normals import Correlation, linearised, reduced_system, tracks_of, views
-from thalweg.images.bundle.problem import Layout, Problem, State
-from thalweg.images.model import ControlMarks, ControlPoints, ImageBlock
-from thalweg.settings.sections import BlockAdjustment
+from thalweg.images.bundle.problem import Antenna, Layout, Problem, State
+from thalweg.images.model import ControlMarks, ControlPoints, ImageBlock, ImagePoses
+from thalweg.settings.sections import BlockAdjustment, ControlSettings
 
+FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=150.0)
 SIZE = (720, 540)
 PERSPECTIVE = np.array([582.0, 582.0, 361.0, 270.0, -0.05, 0.012, 3e-4, -2e-4, 0.0])
 FISHEYE = np.array([330.0, 330.0, 361.0, 270.0, -0.02, 0.004, 0.0, 0.0])
@@ -126,6 +132,101 @@ def scene(
         held=np.zeros((images, 6), np.bool_),
     )
     return problem, Truth(R, C + at, X + at, G + at, camera)
+
+
+def predictions(C: ArrayF, R: ArrayF, **changes: Any) -> ImagePoses:
+    """Poses of the trajectory, one a second, known to 0.1 m and 0.1 rad but for what is said."""
+    n = len(C)
+    given = {
+        "frame": FRAME,
+        "images": tuple(f"{k:04d}.jpg" for k in range(n)),
+        "t_gps_s": 1.4e9 + np.arange(n),
+        "sigma_t_s": np.full(n, 0.02),
+        "oriented": np.ones(n, np.bool_),
+        "reasons": ("",) * n,
+        "centre_wcs_m": C,
+        "R_wcs_ccs": R,
+        "cov_pose_wcs": np.tile(0.01 * np.eye(6), (n, 1, 1)),
+        "cov_next": np.zeros((n, 6, 6)),
+        "n_marks": np.zeros(n),
+        "rms_px": np.full(n, np.nan),
+    }
+    return ImagePoses(**given | changes)
+
+
+def campaign_tables(folder: Path, problem: Problem) -> dict[str, Any]:
+    """Control points and marks as files, and the options of a campaign that names no other input."""
+    control = problem.control
+    axes = ("east", "north", "up")
+    pd.DataFrame(
+        {
+            "id": control.names,
+            **{f"{axis}_m": control.points_wcs_m[:, i] for i, axis in enumerate(axes)},
+            **{f"sigma_{axis}_m": 0.005 for axis in axes},
+            "role": np.where(control.check, "check", "control"),
+        }
+    ).to_csv(folder / "control.csv", index=False)
+    mark_rows(problem.block, control, problem.marks).to_csv(folder / "marks.csv", index=False)
+    return {
+        "frame": FRAME,
+        "crs": None,
+        "control": ControlSettings(),
+        "known": None,
+        "boat": None,
+        "control_points": [folder / "control.csv"],
+        "marks": folder / "marks.csv",
+    }
+
+
+def without_points(cameras: tuple[Camera, ...], images: Sequence[str], C: ArrayF, R: ArrayF) -> ImageBlock:
+    """Poses of images of the first camera, and no tie points."""
+    none = np.empty(0, np.int64)
+    return ImageBlock(
+        cameras=cameras,
+        images=tuple(images),
+        camera=np.zeros(len(images), np.int64),
+        R_block_ccs=R,
+        centre_block_m=C,
+        points_block_m=np.empty((0, 3)),
+        mark_image=none,
+        mark_point=none,
+        mark_px=np.empty((0, 2)),
+        sigma_px=np.empty(0),
+    )
+
+
+def in_own_frame(problem: Problem) -> ImageBlock:
+    """The block as structure from motion hands it over: any scale and attitude."""
+    return problem.block.transformed(exp_rotation([1.0, -0.4, 2.0]), np.array([3.0, -5.0, 1.0]), 0.13)
+
+
+def with_marks(block: ImageBlock, rows: ArrayF) -> ImageBlock:
+    """The block with some of its marks, or with some twice."""
+    names = ("mark_image", "mark_point", "mark_px", "sigma_px")
+    return replace(block, **{name: getattr(block, name)[rows] for name in names})
+
+
+def antenna_of(
+    truth: Truth, rng: np.random.Generator, *, late_s: ArrayF | float = 0.0, **more: Any
+) -> Antenna:
+    """RTK positions of an antenna that sits 1.2 m above the camera and errs by 10 mm, slowly.
+
+    ``late_s``: the images were taken so much later than stamped.
+    """
+    n = len(truth.C)
+    arm, t, velocity = np.array([0.1, -1.2, -0.3]), np.arange(n) * 1.0, np.gradient(truth.C, axis=0)
+    rho = np.exp(-np.abs(t[:, None] - t) / 10.0)
+    error = 0.01 * np.linalg.cholesky(rho) @ rng.standard_normal((n, 3))
+    return Antenna(
+        image=np.arange(n),
+        t_s=t,
+        position_wcs_m=truth.C + truth.R @ arm + error - velocity * np.reshape(late_s, (-1, 1)),
+        sigma_m=np.full((n, 3), 0.01),
+        lever_ccs_m=arm,
+        correlation_time_s=10.0,
+        velocity_wcs_m_s=velocity,
+        **more,
+    )
 
 
 def slow_errors(

@@ -23,6 +23,11 @@ FISHEYE = Camera(
 )
 
 
+def longer(times: float, camera: Camera = PERSPECTIVE) -> Camera:
+    """The same camera with so many times the focal length."""
+    return camera.with_parameters(camera.parameters * np.r_[times, times, np.ones(7)])
+
+
 @dataclass(frozen=True, kw_only=True)
 class Sheet:
     """A rectangle: corner, two sides, and where it begins in the texture."""

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from thalweg.core import GeometryError, exp_rotation
-from thalweg.images.model import ControlPoints, check_place, nearest_to_rays, robust_similarity
+from thalweg.images.model import ControlPoints, Similarity, check_place, nearest_to_rays, robust_similarity
 from thalweg.images.model.block import comparable, spread_share, start_from_positions
 
 NAMES = tuple(f"P{k}" for k in range(9))
@@ -22,18 +22,18 @@ def pair(rng: np.random.Generator, n: int = 9) -> tuple[np.ndarray, np.ndarray]:
 
 def points_of(xyz: np.ndarray) -> ControlPoints:
     n = len(xyz)
-    return ControlPoints(
-        names=NAMES[:n],
-        points_wcs_m=xyz,
-        cov_wcs_m2=np.tile(1e-4 * np.eye(3), (n, 1, 1)),
-        check=np.zeros(n, bool),
-    )
+    cov = np.tile(1e-4 * np.eye(3), (n, 1, 1))
+    return ControlPoints(names=NAMES[:n], points_wcs_m=xyz, cov_wcs_m2=cov, check=np.zeros(n, bool))
+
+
+def fitted(source: np.ndarray, target: np.ndarray) -> Similarity:
+    return robust_similarity(source, target, NAMES, what="control points")
 
 
 def test_swapped_names_are_named_and_left_out(rng):
     source, target = pair(rng)
     target[[2, 6]] = target[[6, 2]]
-    found = robust_similarity(source, target, NAMES, what="control points")
+    found = fitted(source, target)
     assert np.flatnonzero(~found.fits).tolist() == [2, 6]
     distance = np.linalg.norm(target[2] - target[6])
     assert any("P2" in note and f"{distance:.0f}"[:1] in note for note in found.notes)
@@ -43,30 +43,35 @@ def test_swapped_names_are_named_and_left_out(rng):
 def test_one_wrong_point_is_named_with_its_size(rng):
     source, target = pair(rng)
     target[4, 2] += 10.0
-    found = robust_similarity(source, target, NAMES, what="control points")
+    found = fitted(source, target)
     assert np.flatnonzero(~found.fits).tolist() == [4]
     assert found.misfit_m[4] == pytest.approx(10, abs=0.5)
     assert found.notes[0].startswith("P4 is ")
 
 
-def test_points_on_a_line_are_refused(rng):
-    source, _ = pair(rng)
-    line = np.outer(np.linspace(0, 1, 9), [80.0, 5.0, 1.0])
-    assert spread_share(line) < 1e-12
-    with pytest.raises(GeometryError, match=r"all 9 control points lie on a line.*off the line"):
-        robust_similarity(source, line, NAMES, what="control points")
+LINE = np.outer(np.linspace(0, 1, 9), [80.0, 5.0, 1.0])
 
 
-def test_other_coordinates_are_refused(rng):
-    source, _ = pair(rng)
-    with pytest.raises(GeometryError, match=r"do not have the same shape.*names of the points"):
-        robust_similarity(source, rng.uniform(0, 80, (9, 3)), NAMES, what="control points")
+def test_points_on_a_line_have_no_spread():
+    assert spread_share(LINE) < 1e-12
 
 
-def test_two_points_are_too_few(rng):
-    source, target = pair(rng, 2)
-    with pytest.raises(GeometryError, match=r"2 control points.*at least 3"):
-        robust_similarity(source, target, NAMES, what="control points")
+@pytest.mark.parametrize(
+    ("target", "answer"),
+    [
+        pytest.param(LINE, r"all 9 control points lie on a line.*off the line", id="on a line"),
+        pytest.param(
+            np.random.default_rng(1).uniform(0, 80, (9, 3)),
+            r"do not have the same shape.*names of the points",
+            id="other coordinates",
+        ),
+        pytest.param(LINE[:2], r"2 control points.*at least 3", id="too few"),
+    ],
+)
+def test_points_that_give_no_place_are_refused(rng, target, answer):
+    source, _ = pair(rng, len(target))
+    with pytest.raises(GeometryError, match=answer):
+        fitted(source, target)
 
 
 def test_a_wrong_crs_is_told_by_the_distance(rng):
@@ -83,7 +88,7 @@ def test_a_wrong_crs_is_told_by_the_distance(rng):
 
 
 def test_one_wrong_ray_does_not_move_the_point():
-    centres = np.array([[0.0, 0, 0], [5, 0, 0], [10, 0, 0], [15, 0, 0], [20, 0, 0]])
+    centres = np.outer(np.arange(5), [5.0, 0, 0])
     target = np.array([9.0, 25.0, 3.0])
     rays = target - centres
     rays[1] += [4.0, 0, 0]

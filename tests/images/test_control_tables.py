@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import geopandas as gpd
 import numpy as np
@@ -16,6 +17,8 @@ from thalweg.images.model import ControlMarks, ControlPoints
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=150.0)
 LOCAL = np.array([[10.0, 20.0, 1.5], [-35.0, 40.0, 3.25], [60.0, 5.0, 0.5]])
+UTM = FRAME.to_map(LOCAL, CRS("EPSG:25833"))
+GEODETIC = np.stack(FRAME.to_geodetic(LOCAL), axis=1)
 SIGMA = (0.01, 0.01, 0.02)
 SIZE = (4000, 3000)
 IMAGES = ("IMG_1.JPG", "IMG_2.JPG", "IMG_3.JPG")
@@ -27,8 +30,19 @@ def write(folder: Path, name: str, text: str) -> Path:
     return path
 
 
-def points(path: Path, crs: str | None = "EPSG:25833") -> ControlPoints:
-    return read_control_points(path, FRAME, crs=crs, sigma_m=SIGMA)
+def rows(values: Any, form: str = "{},{:.4f},{:.4f},{:.4f}") -> str:
+    """Lines of the points A, B, C with their coordinates; four digits of a metre, ten of a degree."""
+    return "".join(form.format(name, *xyz) + "\n" for name, xyz in zip("ABC", values, strict=True))
+
+
+def points(
+    path: Path, crs: str | None = "EPSG:25833", frame: LocalFrame = FRAME, **more: float
+) -> ControlPoints:
+    return read_control_points(path, frame, crs=crs, sigma_m=SIGMA, **more)
+
+
+def sigmas(found: ControlPoints, k: int = 0) -> np.ndarray:
+    return np.sqrt(found.cov_wcs_m2[k].diagonal())
 
 
 def control() -> ControlPoints:
@@ -61,22 +75,8 @@ def test_the_table_of_the_house(tmp_path):
     assert found.names == ("A", "B")
     assert found.check.tolist() == [False, True]
     np.testing.assert_allclose(found.points_wcs_m, LOCAL[:2])
-    np.testing.assert_allclose(np.sqrt(np.diag(found.cov_wcs_m2[0])), [0.004, 0.005, 0.009])
-    np.testing.assert_allclose(np.sqrt(np.diag(found.cov_wcs_m2[1])), SIGMA)
-
-
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("id,x,y,z (down)\nA,377370,5656850,151\n", "and its name"),
-        ("id,x,y,z,zone\nA,377370,5656850,151,32U\n", "in zone 32 by the file"),
-        ("# EPSG:25832\nid,x,y,z\nA,377370,5656850,151\n", "coordinates in 'ETRS89 / UTM zone 32N'"),
-        ("id,lat,Longitude (W),h\nA,51.05,13.25,151\n", "-13.25"),
-    ],
-)
-def test_statements_of_a_table_that_contradict(tmp_path, text, words):
-    with pytest.raises((InputError, GeometryError), match=words):
-        points(write(tmp_path, "points.csv", text))
+    np.testing.assert_allclose(sigmas(found), [0.004, 0.005, 0.009])
+    np.testing.assert_allclose(sigmas(found, 1), SIGMA)
 
 
 def test_degrees_with_minutes_and_letters(tmp_path):
@@ -85,47 +85,59 @@ def test_degrees_with_minutes_and_letters(tmp_path):
     np.testing.assert_allclose(found, [[0, 0, 0], [0, 0, 1]], atol=1e-6)
 
 
-def test_geodetic_and_map_coordinates(tmp_path):
-    lat, lon, h = FRAME.to_geodetic(LOCAL)
-    rows = [f"{n};{a:.10f};{b:.10f};{c:.4f}" for n, a, b, c in zip("ABC", lat, lon, h, strict=True)]
-    text = "id;lat_deg;lon_deg;h_ell_m\n" + "\n".join(rows) + "\n"
+METASHAPE_LIST = "#Label\tX/Ost\tY/Nord\tZ/Höhe\tAccuracy\n{}# Total Error\n\t\t\t\t0,012\n"
+METASHAPE_PANE = "#CoordinateSystem: ...\n#Label,X/East,Y/North,Z/Altitude,Accuracy_(m),Error_(m),X_error\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "sigma_m"),
+    [
+        pytest.param(
+            "id;lat_deg;lon_deg;h_ell_m\n" + rows(GEODETIC, "{};{:.10f};{:.10f};{:.4f}"), SIGMA, id="degrees"
+        ),
+        pytest.param("id,x,y,z\n" + rows(UTM), SIGMA, id="map"),
+        # receivers write the height above the geoid and above the ellipsoid beside each other, 43 m apart
+        pytest.param(
+            "Name,Elevation,Longitude,Latitude,Ellipsoidal height\n"
+            + rows(
+                np.column_stack([GEODETIC[:, 2] - 43, GEODETIC[:, [1, 0, 2]]]),
+                "{},{:.4f},{:.10f},{:.10f},{:.4f}",
+            ),
+            SIGMA,
+            id="height of the ellipsoid",
+        ),
+        pytest.param(
+            METASHAPE_LIST.format(rows(UTM, "{}\t{:.4f}\t{:.4f}\t{:.4f}\t0,005").replace(".", ",")),
+            0.005,
+            id="Metashape ends with a row of errors",
+        ),
+        pytest.param(
+            METASHAPE_PANE + rows(UTM, '"{}",{:.4f},{:.4f},{:.4f},0.02,0,0'), 0.02, id="Metashape's pane"
+        ),
+    ],
+)
+def test_points_in_the_forms_of_others(tmp_path, text, sigma_m):
+    found = points(write(tmp_path, "p.txt", text))
+    assert found.names == ("A", "B", "C")
     # ten digits of a degree are 0.01 mm, four of a metre 0.1 mm
-    np.testing.assert_allclose(points(write(tmp_path, "g.csv", text)).points_wcs_m, LOCAL, atol=2e-4)
-    grid = FRAME.to_map(LOCAL, CRS("EPSG:25833"))
-    rows = [f"{n},{a:.4f},{b:.4f},{c:.4f}" for n, (a, b, c) in zip("ABC", grid, strict=True)]
-    path = write(tmp_path, "m.csv", "id,x,y,z\n" + "\n".join(rows) + "\n")
-    np.testing.assert_allclose(points(path).points_wcs_m, LOCAL, atol=2e-4)
+    np.testing.assert_allclose(found.points_wcs_m, LOCAL, atol=2e-4)
+    np.testing.assert_allclose(sigmas(found, 1), sigma_m)
+
+
+def test_a_map_without_a_crs_is_refused(tmp_path):
     with pytest.raises(InputError, match=r"without a CRS.*campaign\.crs"):
-        points(path, crs=None)
-
-
-def test_the_height_of_the_ellipsoid_goes_with_degrees(tmp_path):
-    """Receivers write the height above the geoid and above the ellipsoid beside each other, 43 m apart."""
-    lat, lon, h = FRAME.to_geodetic(LOCAL)
-    rows = [
-        f"{n},{c - 43:.4f},{b:.10f},{a:.10f},{c:.4f}" for n, a, b, c in zip("ABC", lat, lon, h, strict=True)
-    ]
-    text = "Name,Elevation,Longitude,Latitude,Ellipsoidal height\n" + "\n".join(rows) + "\n"
-    np.testing.assert_allclose(points(write(tmp_path, "e.csv", text)).points_wcs_m, LOCAL, atol=2e-4)
-
-
-def test_a_coordinate_that_stands_for_none_is_refused(tmp_path):
-    text = "id,east_m,north_m,up_m\nA,10,20,1.5\nB,-35,40,-9999\n"
-    with pytest.raises(InputError, match=r"csv:3: up_m -9999, which stands for no value") as caught:
-        points(write(tmp_path, "n.csv", text))
-    assert caught.value.cure
+        points(write(tmp_path, "m.csv", "id,x,y,z\n" + rows(UTM)), crs=None)
 
 
 def test_points_of_a_gis_are_control_points(tmp_path):
     """On the map, in degrees, with heights in the geometry or beside it; not by attributes."""
-    grid = FRAME.to_map(LOCAL, CRS("EPSG:25833"))
     layer = gpd.GeoDataFrame(
         {"name": list("ABC"), "role": ["check", "control", "control"], "accuracy": 0.004, "east": 1.0},
-        geometry=shapely.points(grid),
+        geometry=shapely.points(UTM),
         crs="EPSG:25833",
     )
     layer.to_file(tmp_path / "p.gpkg")
-    flat = layer.assign(elevation=grid[:, 2], geometry=shapely.points(grid[:, :2])).set_crs("EPSG:25833")
+    flat = layer.assign(elevation=UTM[:, 2], geometry=shapely.points(UTM[:, :2])).set_crs("EPSG:25833")
     flat.to_file(tmp_path / "p.shp")
     layer.to_crs("EPSG:4258").to_file(tmp_path / "p.geojson")
     for name, crs in (("p.gpkg", None), ("p.shp", "EPSG:3857"), ("p.geojson", None)):
@@ -134,28 +146,7 @@ def test_points_of_a_gis_are_control_points(tmp_path):
         # GeoJSON has seven digits of a degree
         np.testing.assert_allclose(found.points_wcs_m, LOCAL, atol=1e-2 if "json" in name else 1e-4)
         assert found.check.tolist() == [True, False, False]
-        np.testing.assert_allclose(np.sqrt(found.cov_wcs_m2[0].diagonal()), 0.004)
-
-
-def test_metashape_ends_with_a_row_of_errors(tmp_path):
-    grid = FRAME.to_map(LOCAL, CRS("EPSG:25833"))
-    rows = [
-        f"{n}\t{a:.4f}\t{b:.4f}\t{c:.4f}\t0,005".replace(".", ",")
-        for n, (a, b, c) in zip("ABC", grid, strict=True)
-    ]
-    text = "#Label\tX/Ost\tY/Nord\tZ/Höhe\tAccuracy\n" + "\n".join(rows) + "\n# Total Error\n\t\t\t\t0,012\n"
-    found = points(write(tmp_path, "m.txt", text))
-    assert found.names == ("A", "B", "C")
-    np.testing.assert_allclose(found.points_wcs_m, LOCAL, atol=2e-4)
-
-
-def test_metashape_reference_pane(tmp_path):
-    grid = FRAME.to_map(LOCAL, CRS("EPSG:25833"))
-    head = "#CoordinateSystem: ...\n#Label,X/East,Y/North,Z/Altitude,Accuracy_(m),Error_(m),X_error\n"
-    rows = [f'"{n}",{a:.4f},{b:.4f},{c:.4f},0.02,0,0' for n, (a, b, c) in zip("ABC", grid, strict=True)]
-    found = points(write(tmp_path, "markers.csv", head + "\n".join(rows) + "\n"))
-    np.testing.assert_allclose(found.points_wcs_m, LOCAL, atol=2e-4)
-    np.testing.assert_allclose(np.sqrt(found.cov_wcs_m2[1].diagonal()), 0.02)
+        np.testing.assert_allclose(sigmas(found), 0.004)
 
 
 METASHAPE = """<?xml version="1.0" encoding="UTF-8"?>
@@ -179,30 +170,30 @@ METASHAPE = """<?xml version="1.0" encoding="UTF-8"?>
 
 
 def test_metashape_markers(tmp_path):
-    grid = FRAME.to_map(LOCAL[:2], CRS("EPSG:25833")).ravel()
-    path = write(tmp_path, "markers.xml", METASHAPE.format(*(f"{v:.4f}" for v in grid)))
+    text = METASHAPE.format(*UTM[:2].ravel())
+    path = write(tmp_path, "markers.xml", text)
     found = points(path, crs=None)
     np.testing.assert_allclose(found.points_wcs_m, LOCAL[:2], atol=2e-4)
     assert found.check.tolist() == [False, True]
-    np.testing.assert_allclose(np.sqrt(found.cov_wcs_m2[1].diagonal()), [0.01, 0.02, 0.03])
+    np.testing.assert_allclose(sigmas(found, 1), [0.01, 0.02, 0.03])
     marks, dropped = match(path)
     assert marks.image.tolist() == [0, 1, 1]
     assert marks.point.tolist() == [0, 0, 1]
     np.testing.assert_allclose(marks.xy_px[0], [1200.25, 800.5])
     assert dropped == {"placed by the program, not by a person": 1, "in images without a pose": 1}
     for known, other in (('marker marker_id="1"', 'marker marker_id="7"'), ('"1" pinned', '"7" pinned')):
-        path = write(tmp_path, "other.xml", METASHAPE.format(*grid).replace(known, other))
+        path = write(tmp_path, "other.xml", text.replace(known, other))
         with pytest.raises(InputError, match=r"a mark of camera \d and marker \d; expected both in the file"):
             match(path)
 
 
 def test_markers_without_an_accuracy_have_that_of_their_chunk(tmp_path, caplog):
     settings = '<settings><property name="accuracy_markers" value="0.25"/></settings></chunk>'
-    text = METASHAPE.format(*FRAME.to_map(LOCAL[:2], CRS("EPSG:25833")).ravel())
+    text = METASHAPE.format(*UTM[:2].ravel())
     text = text.replace('sxyz="0.008" ', "").replace("</chunk>", settings)
     found = points(write(tmp_path, "markers.xml", text), crs=None)
-    np.testing.assert_allclose(np.sqrt(found.cov_wcs_m2[0].diagonal()), 0.25)
-    np.testing.assert_allclose(np.sqrt(found.cov_wcs_m2[1].diagonal()), [0.01, 0.02, 0.03])
+    np.testing.assert_allclose(sigmas(found), 0.25)
+    np.testing.assert_allclose(sigmas(found, 1), [0.01, 0.02, 0.03])
     assert "that of the chunk (accuracy_markers), 0.25 m" in caplog.text
 
 
@@ -242,7 +233,7 @@ def test_local_coordinates_of_metashape(tmp_path, unit, answer):
 )
 def test_standard_deviations_by_their_usual_names(tmp_path, caplog, names, values, sigma_m):
     path = write(tmp_path, "p.csv", f"id,east_m,north_m,up_m,{names}\nA,10,20,1.5,{values}\n")
-    np.testing.assert_allclose(np.sqrt(points(path).cov_wcs_m2[0].diagonal()), sigma_m)
+    np.testing.assert_allclose(sigmas(points(path)), sigma_m)
     assert ("not of the columns precision_horizontal" in caplog.text) == ("precision" in names)
 
 
@@ -267,8 +258,7 @@ def test_columns_that_say_which_points_are_check_points(tmp_path, name, cells):
 def test_the_coordinate_system_that_a_table_states_counts(tmp_path, remark, more):
     grid = FRAME.to_map(LOCAL, CRS("EPSG:25832"))
     head = remark.format(CRS("EPSG:25832").to_wkt("WKT1_GDAL")) + f"id,x,y,z{',epsg' if more else ''}\n"
-    rows = [f"{n},{a:.4f},{b:.4f},{c:.4f},{more}" for n, (a, b, c) in zip("ABC", grid, strict=True)]
-    path = write(tmp_path, "p.csv", head + "\n".join(row.rstrip(",") for row in rows) + "\n")
+    path = write(tmp_path, "p.csv", head + rows(grid).replace("\n", f",{more}\n" if more else "\n"))
     np.testing.assert_allclose(points(path).points_wcs_m, LOCAL, atol=2e-4)
     np.testing.assert_allclose(points(path, crs="local").points_wcs_m, grid, atol=1e-4)
 
@@ -276,10 +266,9 @@ def test_the_coordinate_system_that_a_table_states_counts(tmp_path, remark, more
 def test_heights_in_the_feet_that_their_system_states(tmp_path, caplog):
     frame = LocalFrame(lat_deg=38.6, lon_deg=-121.5, h_ell_m=0.0)
     flat = frame.to_map(LOCAL, CRS("EPSG:26942"))  # the same map in metres
-    rows = [f"{n},{a:.4f},{b:.4f},{c:.4f}" for n, (a, b, c) in zip("ABC", flat * 3937 / 1200, strict=True)]
-    path = write(tmp_path, "p.csv", "id,x,y,z\n" + "\n".join(rows) + "\n")
+    path = write(tmp_path, "p.csv", "id,x,y,z\n" + rows(flat * 3937 / 1200))
     for crs in ("EPSG:2226+6360", "EPSG:2226"):
-        found = read_control_points(path, frame, crs=crs, sigma_m=SIGMA)
+        found = points(path, crs, frame)
         up = LOCAL[:, 2] * (1.0 if "+" in crs else 3937 / 1200)
         np.testing.assert_allclose(found.points_wcs_m, np.c_[LOCAL[:, :2], up], atol=1e-3)
     assert "no unit of heights: metres although east and north are not" in caplog.text
@@ -295,19 +284,10 @@ def test_results_are_wanted_in_a_grid_in_metres(tmp_path, crs):
 
 def test_hemispheres_in_columns_of_their_own(tmp_path):
     frame = LocalFrame(lat_deg=-33.4, lon_deg=-70.6, h_ell_m=500.0)
-    lat, lon, h = frame.to_geodetic(LOCAL)
-    rows = [f"{n},{-a:.10f},S,{-b:.10f},W,{c:.4f}" for n, a, b, c in zip("ABC", lat, lon, h, strict=True)]
-    path = write(tmp_path, "p.csv", "id,lat,NS,lon,EW,h\n" + "\n".join(rows) + "\n")
-    found = read_control_points(path, frame, crs=None, sigma_m=SIGMA)
+    geodetic = np.stack(frame.to_geodetic(LOCAL), axis=1) * [-1, -1, 1]
+    text = "id,lat,NS,lon,EW,h\n" + rows(geodetic, "{},{:.10f},S,{:.10f},W,{:.4f}")
+    found = points(write(tmp_path, "p.csv", text), None, frame)
     np.testing.assert_allclose(found.points_wcs_m, LOCAL, atol=2e-4)
-
-
-def test_heights_that_count_downwards_are_refused(tmp_path):
-    text = "id,x,y,Z (positive down)\nA,1,2,3\n"
-    with pytest.raises(
-        InputError, match=r"in column Z \(positive down\), and its name; expected heights, positive upwards"
-    ):
-        points(write(tmp_path, "p.csv", text))
 
 
 def test_names_stay_as_they_are_written(tmp_path):
@@ -393,6 +373,11 @@ def test_wrong_marks_are_told(tmp_path, text, answer):
         ),
         ("A,1,2,3\nB,4,5,6\n", r"no names of columns: the first line is 'A,1,2,3'"),
         ("id,east_m,north_m,up_m\nA,1,2,3\nB,4,5,\n", r"csv:3: no up_m"),
+        ("id,east_m,north_m,up_m\nA,1,2,3\nB,4,5,-9999\n", r"csv:3: up_m -9999, which stands for no value"),
+        ("id,x,y,Z (positive down)\nA,1,2,3\n", r"\(positive down\), and its name; expected heights, pos"),
+        ("id,x,y,z,zone\nA,377370,5656850,151,32U\n", "in zone 32 by the file"),
+        ("# EPSG:25832\nid,x,y,z\nA,377370,5656850,151\n", "coordinates in 'ETRS89 / UTM zone 32N'"),
+        ("id,lat,Longitude (W),h\nA,51.05,13.25,151\n", "-13.25"),
     ],
 )
 def test_wrong_control_points_are_told(tmp_path, text, answer):
@@ -412,10 +397,6 @@ def test_files_that_are_none(tmp_path):
         read_marks(tmp_path / "c.csv")
     with pytest.raises(InputError, match="CRS 'EPSG:99' is not known"):
         points(write(tmp_path, "g.txt", "EPSG:99\n1 2 3 4 5 IMG_1.JPG A\n"), crs=None)
-
-
-UTM = FRAME.to_map(LOCAL, CRS("EPSG:25833"))
-GEODETIC = np.stack(FRAME.to_geodetic(LOCAL), axis=1)
 
 
 @pytest.mark.parametrize(
@@ -438,16 +419,14 @@ GEODETIC = np.stack(FRAME.to_geodetic(LOCAL), axis=1)
     ],
 )
 def test_coordinates_far_from_the_survey_are_told_apart(tmp_path, head, values, answer):
-    rows = [f"{n},{a:.8f},{b:.8f},{c:.4f}" for n, (a, b, c) in zip("ABC", np.asarray(values), strict=True)]
-    path = write(tmp_path, "p.csv", f"id,{head}\n" + "\n".join(rows) + "\n")
+    text = f"id,{head}\n" + rows(values, "{},{:.8f},{:.8f},{:.4f}")
     with pytest.raises(GeometryError, match=answer):
-        points(path)
+        points(write(tmp_path, "p.csv", text))
 
 
 def test_heights_above_the_geoid_get_an_offset(tmp_path):
-    rows = [f"{n},{a:.4f},{b:.4f},{c - 45:.4f}" for n, (a, b, c) in zip("ABC", UTM, strict=True)]
-    path = write(tmp_path, "p.csv", "id,x,y,z\n" + "\n".join(rows) + "\n")
-    found = read_control_points(path, FRAME, crs="EPSG::25833", sigma_m=SIGMA, height_offset_m=45.0)
+    path = write(tmp_path, "p.csv", "id,x,y,z\n" + rows(UTM - [0, 0, 45.0]))
+    found = points(path, "EPSG::25833", height_offset_m=45.0)
     np.testing.assert_allclose(found.points_wcs_m, LOCAL, atol=2e-4)
 
 
@@ -469,8 +448,8 @@ def test_points_whose_names_differ_in_case_only_are_refused(tmp_path):
 
 
 def test_a_row_with_a_cell_too_many_is_refused(tmp_path):
-    rows = "".join(f"P{k},{k},2,3\n" for k in range(30))
-    path = write(tmp_path, "p.csv", f"id,east_m,north_m,up_m\n{rows}Q,1,2,3,4\n")
+    good = "".join(f"P{k},{k},2,3\n" for k in range(30))
+    path = write(tmp_path, "p.csv", f"id,east_m,north_m,up_m\n{good}Q,1,2,3,4\n")
     with pytest.raises(InputError, match=r"1 row of more than 4 cells, left out, the first in line 32"):
         points(path)
 

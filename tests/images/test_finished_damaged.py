@@ -1,40 +1,24 @@
 """Names of other images, damaged files, and what is not there."""
 
 import re
-from pathlib import Path
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from tests.images.finished_scene import (
-    LOCAL,
+    TRUTH,
     Scene,
-    angles_deg,
-    angles_text,
     assert_poses,
+    imported,
     predictions,
-    scene,
-    settings,
+    table,
     write_colmap_text,
     write_metashape,
 )
 from thalweg.core import InputError
-from thalweg.images.imports import import_orientations
 from thalweg.images.imports.poses import NOT_IN_FILE
 from thalweg.images.model import matched
-
-
-@pytest.fixture
-def truth():
-    return scene()
-
-
-def table(path: Path, truth: Scene, xyz: Any = None, angles: Any = None, head: str = "") -> Path:
-    xyz = truth.C if xyz is None else xyz
-    path.write_text(angles_text(truth.images, xyz, angles_deg(truth.R) if angles is None else angles, head))
-    return path
-
 
 # ---------------------------------------------------------------- names
 
@@ -47,28 +31,25 @@ def test_names_are_matched_from_strict_to_loose():
         matched(["IMG_2", "img_2.JPG"], images, "file")
 
 
-def test_images_that_the_file_lacks_have_a_reason(tmp_path, truth):
-    part = Scene(truth.images[:9], truth.C[:9], truth.R[:9])
-    path = table(tmp_path / "eo.txt", part)
+def test_images_that_the_file_lacks_have_a_reason(tmp_path):
+    path = table(tmp_path / "eo.txt", names=TRUTH.images[:9], of=Scene((), TRUTH.C[:9], TRUTH.R[:9]))
     path.write_text(path.read_text() + "stranger.jpg\t0\t0\t0\t0\t0\t0\n")
-    found = import_orientations([path], predictions(truth), settings(crs="world"))
+    found = imported(path)
     assert found.poses.reasons == ("",) * 9 + (NOT_IN_FILE,) * 3
     assert found.facts["files"][0]["not_of_the_campaign"] == ["stranger.jpg"]
     assert found.facts["oriented"] == 9
 
 
-def test_a_file_of_other_images_is_refused(tmp_path, truth):
-    other = Scene(tuple(f"DSC{k}.jpg" for k in range(12)), truth.C, truth.R)
+def test_a_file_of_other_images_is_refused(tmp_path):
+    path = table(tmp_path / "eo.txt", names=[f"DSC{k}.jpg" for k in range(12)])
     with pytest.raises(InputError, match=r"0 of 12 images .* not so DSC0\.jpg, DSC1\.jpg"):
-        import_orientations([table(tmp_path / "eo.txt", other)], predictions(truth), settings(crs="world"))
+        imported(path)
 
 
-def test_without_predictions_nothing_is_checked_and_that_is_said(tmp_path, truth):
-    given = predictions(truth)
-    values = {name: getattr(given, name) for name in given.__dataclass_fields__}
-    blind = type(given)(**{**values, "oriented": np.zeros(12, np.bool_)})
-    found = import_orientations([table(tmp_path / "eo.txt", truth)], blind, settings(crs="world"))
-    assert_poses(found.poses, truth)
+def test_without_predictions_nothing_is_checked_and_that_is_said(tmp_path):
+    blind = replace(predictions(), oriented=np.zeros(12, np.bool_))
+    found = imported(table(tmp_path / "eo.txt"), given=blind)
+    assert_poses(found)
     assert "could not be checked" in found.facts["notes"][1]
 
 
@@ -92,18 +73,21 @@ def test_without_predictions_nothing_is_checked_and_that_is_said(tmp_path, truth
         (",1,2,3,4,5,6\n", "eo.txt:1: no image"),
     ],
 )
-def test_damaged_tables(tmp_path, truth, text, words):
+def test_damaged_tables(tmp_path, text, words):
     path = tmp_path / "eo.txt"
     path.write_text(text)
     with pytest.raises(InputError) as found:
-        import_orientations([path], predictions(truth), settings(crs="world"))
+        imported(path)
     assert words in str(found.value)
     assert "eo.txt" in str(found.value)
 
 
-def test_a_table_without_a_crs_is_refused(tmp_path, truth):
-    with pytest.raises(InputError, match="coordinates without a CRS"):
-        import_orientations([table(tmp_path / "eo.txt", truth)], predictions(truth), settings())
+@pytest.mark.parametrize(
+    ("crs", "words"), [(None, "coordinates without a CRS"), ("EPSG:1", "'EPSG:1' is not known")]
+)
+def test_a_table_without_a_known_crs_is_refused(tmp_path, crs, words):
+    with pytest.raises(InputError, match=words):
+        imported(table(tmp_path / "eo.txt"), crs=crs)
 
 
 @pytest.mark.parametrize(
@@ -114,15 +98,16 @@ def test_a_table_without_a_crs_is_refused(tmp_path, truth):
         ("<transform><rotation>", "<transform><rotation>x ", "9 numbers"),
         ("<scale>3.7", "<scale>-3.7", "positive number"),
         ("<f>582.0", "<f>wide", "'wide' of f of Sensor 'boat'"),
+        ("metre&quot;,1", "foot&quot;,0.3048", "Local Coordinates (m)'; expected metres"),
     ],
 )
-def test_damaged_xml(tmp_path, truth, old, new, words):
-    path = write_metashape(tmp_path / "c.xml", truth.images, truth.C, truth.R, reference=LOCAL)
+def test_damaged_xml(tmp_path, old, new, words):
+    path = write_metashape(tmp_path / "c.xml")
     text = path.read_text()
     assert old in text
     path.write_text(text.replace(old, new, 1))
     with pytest.raises(InputError) as found:
-        import_orientations([path], predictions(truth), settings(crs="world"))
+        imported(path)
     assert words in str(found.value)
 
 
@@ -136,19 +121,19 @@ def test_damaged_xml(tmp_path, truth, old, new, words):
         (" -2e-4", "", "7 parameters"),
     ],
 )
-def test_damaged_colmap_text(tmp_path, truth, old, new, words):
-    folder = write_colmap_text(tmp_path / "m", truth.images, truth.C, truth.R, points=False)
+def test_damaged_colmap_text(tmp_path, old, new, words):
+    folder = write_colmap_text(tmp_path / "m", points=False)
     for path in (folder / "images.txt", folder / "cameras.txt"):
         text = path.read_text()
         path.write_text(re.sub(rf"(?m){old}", new, text))
     with pytest.raises(InputError) as found:
-        import_orientations([folder], predictions(truth), settings(crs="world"))
+        imported(folder)
     assert words in str(found.value)
 
 
-def test_damaged_binary_models_give_our_errors_only(tmp_path, truth, rng):
+def test_damaged_binary_models_give_our_errors_only(tmp_path, rng):
     pycolmap = pytest.importorskip("pycolmap")
-    folder = write_colmap_text(tmp_path / "text", truth.images, truth.C, truth.R, points=False)
+    folder = write_colmap_text(tmp_path / "text", points=False)
     binary = tmp_path / "binary"
     binary.mkdir()
     pycolmap.Reconstruction(str(folder)).write_binary(str(binary))
@@ -161,7 +146,7 @@ def test_damaged_binary_models_give_our_errors_only(tmp_path, truth, rng):
             data[at] = int(rng.integers(256))
         (binary / name).write_bytes(bytes(data[: len(data) - (k % 5)]))
         try:
-            import_orientations([binary], predictions(truth), settings(crs="world"))
+            imported(binary)
             clean += 1
         except InputError:
             pass
@@ -170,11 +155,9 @@ def test_damaged_binary_models_give_our_errors_only(tmp_path, truth, rng):
     assert 0 < clean < 150
 
 
-def test_what_is_not_there_or_no_model(tmp_path, truth):
+def test_what_is_not_there_or_no_model(tmp_path):
     for path, words in ((tmp_path / "none.txt", "file not found"), (tmp_path, "without images")):
         with pytest.raises(InputError, match=words):
-            import_orientations([path], predictions(truth), settings())
+            imported(path, crs=None)
     with pytest.raises(InputError, match="no file"):
-        import_orientations([], predictions(truth), settings())
-    with pytest.raises(InputError, match="'EPSG:1' is not known"):
-        import_orientations([table(tmp_path / "eo.txt", truth)], predictions(truth), settings(crs="EPSG:1"))
+        imported(crs=None)

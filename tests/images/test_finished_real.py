@@ -10,24 +10,16 @@ import pytest
 from tests.images.finished_scene import (
     FLIP,
     Scene,
-    angles_deg,
-    angles_text,
     assert_poses,
+    imported,
     predictions,
-    scene,
     settings,
+    table,
     write_colmap_text,
 )
 from thalweg.calibration import read_camera
 from thalweg.core import Camera, rotation_opk
-from thalweg.images.imports import import_orientations
 from thalweg.images.model import ImagePoses
-
-
-@pytest.fixture
-def truth():
-    return scene()
-
 
 # ---------------------------------------------------------------- real files
 
@@ -49,14 +41,12 @@ def test_orientations_of_an_aerial_block_by_its_control_points(tmp_path, data_di
                 for key in ("Xc", "Yc", "Zc", "Omega", "Phi", "Kappa")
             ]
         )
-    table = np.array(rows)
-    assert len(table) == 5
-    path = tmp_path / "eo.txt"
-    path.write_text(angles_text(names, table[:, :3], table[:, 3:], separator=","))
-    R = np.array([rotation_opk(*np.deg2rad(row)) @ FLIP for row in table[:, 3:]])
-    found = import_orientations(
-        [path], predictions(Scene(tuple(names), table[:, :3], R)), settings(crs="world")
-    )
+    poses = np.array(rows)
+    assert len(poses) == 5
+    R = np.array([rotation_opk(*np.deg2rad(row)) @ FLIP for row in poses[:, 3:]])
+    given = Scene(tuple(names), poses[:, :3], R)
+    path = table(tmp_path / "eo.txt", angles=poses[:, 3:], of=given, separator=",")
+    found = imported(path, given=predictions(truth=given))
     # pixels of DBAT count from the centre of the first one, which is 1
     focal_px = 123.9392 / 0.006
     parameters = np.array([focal_px, focal_px, 4429.0, 6468.0, 0, 0, 0, 0, 0])
@@ -77,7 +67,7 @@ def test_orientations_of_an_aerial_block_by_its_control_points(tmp_path, data_di
 
 
 @pytest.mark.parametrize("kind", ["colmap", "table", "table and calibration"])
-def test_script(tmp_path, truth, repository, kind):
+def test_script(tmp_path, repository, kind):
     spec = importlib.util.spec_from_file_location(
         "import_orientations", repository / "workflow/scripts/import_orientations.py"
     )
@@ -86,13 +76,9 @@ def test_script(tmp_path, truth, repository, kind):
     script = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(script)
     given = tmp_path / "predictions.parquet"
-    predictions(truth).write(given)
+    predictions().write(given)
     interior = []
-    if kind == "colmap":
-        path = write_colmap_text(tmp_path / "model", truth.images, truth.C, truth.R)
-    else:
-        path = tmp_path / "eo.txt"
-        path.write_text(angles_text(truth.images, truth.C, angles_deg(truth.R)))
+    path = write_colmap_text(tmp_path / "model") if kind == "colmap" else table(tmp_path / "eo.txt")
     if kind == "table and calibration":
         interior = [tmp_path / "cameras.txt"]
         interior[0].write_text("1 PINHOLE 720 540 600 600 360 270\n")
@@ -106,7 +92,7 @@ def test_script(tmp_path, truth, repository, kind):
         campaign={"id": "test", "crs": None},
         finished=settings(crs="world"),
     )
-    assert_poses(ImagePoses.read(tmp_path / "poses.parquet"), truth)
+    assert_poses(ImagePoses.read(tmp_path / "poses.parquet"))
     facts = json.loads((tmp_path / "facts.json").read_text())
     assert facts["oriented"] == 12
     if kind == "table":

@@ -49,7 +49,7 @@ def test_points_behind_a_camera_have_no_residual(block):
 @pytest.mark.parametrize(
     ("change", "answer"),
     [
-        ({"mark_image": np.array([99])}, r"a mark of image 99|mark_image|mark_point"),
+        ({"mark_image": np.array([99])}, r"mark_\w+\.shape"),
         ({"sigma_px": np.ones(3)}, r"sigma_px\.shape=\(3,\)"),
         ({"camera": np.zeros(2, np.int64)}, r"camera\.shape=\(2,\)"),
     ],
@@ -69,11 +69,12 @@ def test_marks_of_what_does_not_exist_are_refused(block):
 
 
 def test_files_that_are_no_block(tmp_path):
-    with pytest.raises(InputError, match="file not found"):
-        ImageBlock.read(tmp_path / "no.npz")
     (tmp_path / "text.npz").write_text("no block")
-    with pytest.raises(InputError, match="not readable"):
-        ImageBlock.read(tmp_path / "text.npz")
     np.savez(tmp_path / "other.npz", head=np.array('{"kind": "image_block", "version": 99}'))
-    with pytest.raises(InputError, match=r"version 99.*Rebuild it"):
-        ImageBlock.read(tmp_path / "other.npz")
+    for name, told in (
+        ("no", "file not found"),
+        ("text", "not readable"),
+        ("other", r"version 99.*Rebuild it"),
+    ):
+        with pytest.raises(InputError, match=told):
+            ImageBlock.read(tmp_path / f"{name}.npz")

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from tests.images.block_scene import FREE, OPTIONS, scene
-from tests.images.sfm_scene import PERSPECTIVE
+from tests.images.block_scene import FREE, OPTIONS, scene, without_points
+from tests.images.sfm_scene import PERSPECTIVE, longer
 from thalweg.core import Camera, GeometryError, InputError
 from thalweg.images.bundle import interiors_of
 from thalweg.images.bundle.adjustment import adjust_block, adjusted_cameras
@@ -23,7 +23,7 @@ from thalweg.images.sfm.matching import Interiors, assign_cameras
 from thalweg.ingest.photos import named_images
 from thalweg.settings.sections import MaskSettings
 
-LONG = replace(PERSPECTIVE, parameters=PERSPECTIVE.parameters * np.array([1.6, 1.6, 1, 1, 1, 1, 1, 1, 1]))
+LONG = longer(1.6)
 """A camera of the same picture size with 432 px instead of 270 px."""
 
 
@@ -150,33 +150,13 @@ def test_another_zoom_is_estimated_and_another_lens_alone_refused(tmp_path):
     assert found.starts[1].camera.parameters[0] == pytest.approx(47 / 43.267 * 400, rel=1e-3)
     assert any("theirs is estimated" in note for note in found.notes)
     with pytest.raises(InputError, match=r"a focal length of 600 px .* and 268 px by the EXIF"):
-        assigned(
-            tmp_path,
-            Interiors(
-                cameras=(
-                    PERSPECTIVE.with_parameters(
-                        PERSPECTIVE.parameters * np.array([600 / 270, 600 / 270, 1, 1, 1, 1, 1, 1, 1])
-                    ),
-                )
-            ),
-            by="size",
-        )
+        assigned(tmp_path, Interiors(cameras=(longer(600 / 270),)), by="size")
 
 
 def block_of(images: list[str], camera: list[int], cameras: tuple[Camera, ...]) -> ImageBlock:
     n = len(images)
-    return ImageBlock(
-        cameras=cameras,
-        images=tuple(images),
-        camera=np.array(camera),
-        R_block_ccs=np.tile(np.eye(3), (n, 1, 1)),
-        centre_block_m=np.zeros((n, 3)),
-        points_block_m=np.zeros((0, 3)),
-        mark_image=np.zeros(0, np.int64),
-        mark_point=np.zeros(0, np.int64),
-        mark_px=np.zeros((0, 2)),
-        sigma_px=np.zeros(0),
-    )
+    found = without_points(cameras, images, np.zeros((n, 3)), np.tile(np.eye(3), (n, 1, 1)))
+    return replace(found, camera=np.array(camera))
 
 
 def test_each_camera_of_a_block_has_its_calibration():
@@ -198,25 +178,21 @@ def test_each_camera_of_a_block_has_its_calibration():
 def test_two_cameras_in_one_adjustment():
     """Every second image with 1.4 times the focal length: distances from the principal point grow by it."""
     problem, truth = scene(np.random.default_rng(3), images=24, points=500)
-    block, of = problem.block, np.arange(24) % 2
-    grown = np.ones(9)
-    grown[:2] = 1.4
-    middle = truth.camera.parameters[2:4]
-    marks, far = block.mark_px.copy(), of[block.mark_image] == 1
-    marks[far] = middle + 1.4 * (marks[far] - middle)
-    own, control_far = problem.marks.xy_px.copy(), of[problem.marks.image] == 1
-    own[control_far] = middle + 1.4 * (own[control_far] - middle)
-    cameras = (block.cameras[0], block.cameras[0].with_parameters(block.cameras[0].parameters * grown))
-    found = adjust_block(
-        replace(
-            problem,
-            block=replace(block, cameras=cameras, camera=of, mark_px=marks),
-            marks=replace(problem.marks, xy_px=own),
-            free=(FREE, FREE),
-            weighted=(False, False),
-        ),
-        OPTIONS,
+    block, own, of = problem.block, problem.marks, np.arange(24) % 2
+    middle, times = truth.camera.parameters[2:4], np.array([1.0, 1.4])
+    marks_px, own_px = (
+        middle + times[of[image], None] * (xy - middle)
+        for image, xy in ((block.mark_image, block.mark_px), (own.image, own.xy_px))
     )
+    cameras = (block.cameras[0], longer(1.4, block.cameras[0]))
+    problem = replace(
+        problem,
+        block=replace(block, cameras=cameras, camera=of, mark_px=marks_px),
+        marks=replace(own, xy_px=own_px),
+        free=(FREE, FREE),
+        weighted=(False, False),
+    )
+    found = adjust_block(problem, OPTIONS)
     for camera, factor in zip(adjusted_cameras(found), (1.0, 1.4), strict=True):
         sigma = np.sqrt(camera.cov[0, 0])
         assert 0 < sigma < 3.0
@@ -231,16 +207,14 @@ def test_one_camera_is_weighted_and_the_other_estimated():
     left = replace(problem.block.cameras[0], name="left")
     block = replace(problem.block, cameras=(left, replace(left, name="right")), camera=np.arange(24) % 2)
     given = replace(truth.camera, cov=cov, name="given")
-    settings = OPTIONS
-    found = orient_block(block, problem.control, problem.marks, settings, known={"left": given})
+    given_to = block, problem.control, problem.marks
+    found = orient_block(*given_to, OPTIONS, known={"left": given})
     assert found.adjusted.problem.weighted == (True, False)
     sigma = [np.sqrt(camera.cov[0, 0]) for camera in adjusted_cameras(found.adjusted)]
     assert sigma[0] < 0.5
     assert sigma[0] < sigma[1]
     with pytest.raises(GeometryError, match="no interior orientation is given for right"):
-        orient_block(
-            block, problem.control, problem.marks, settings.replace(interior="fixed"), known={"left": given}
-        )
+        orient_block(*given_to, OPTIONS.replace(interior="fixed"), known={"left": given})
 
 
 def test_masks_are_learned_for_each_camera(tmp_path):
@@ -252,21 +226,16 @@ def test_masks_are_learned_for_each_camera(tmp_path):
     images = named_images([tmp_path / "photos"])
     (tmp_path / "given" / "left").mkdir(parents=True)
     Image.new("L", (80, 60)).save(tmp_path / "given" / "left" / "1.png.png")
-    table = make_masks_of_cameras(
-        images, tmp_path / "out", MaskSettings(), KnownCameras(), supplied=tmp_path / "given"
-    )
+    out, how = tmp_path / "out", (MaskSettings(), KnownCameras())
+    table = make_masks_of_cameras(images, out, *how, supplied=tmp_path / "given")
     assert table["image"].tolist() == list(images)
     assert table["source"].tolist() == ["supplied", "automatic", "automatic"]
-    assert all((tmp_path / "out" / f"{name}.png").is_file() for name in images)
-    notes = table.attrs["notes"]
-    assert any(note.startswith("right: ") for note in notes)
-    assert "right: none of its 1 images has a supplied mask" in notes
+    assert all((out / f"{name}.png").is_file() for name in images)
+    assert "right: none of its 1 images has a supplied mask" in table.attrs["notes"]
     # in one folder it cannot be told whose mask 1.png is
     (tmp_path / "flat").mkdir()
     Image.new("L", (80, 60)).save(tmp_path / "flat" / "1.png.png")
     with pytest.raises(
         InputError, match=r"one mask 1.png.png for left/1.png and right/1.png; expected folders"
     ):
-        make_masks_of_cameras(
-            images, tmp_path / "out", MaskSettings(), KnownCameras(), supplied=tmp_path / "flat"
-        )
+        make_masks_of_cameras(images, out, *how, supplied=tmp_path / "flat")

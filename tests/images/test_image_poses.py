@@ -2,10 +2,9 @@
 
 import numpy as np
 
-from thalweg.core import LocalFrame, exp_rotation
+from tests.images.block_scene import FRAME, predictions
+from thalweg.core import exp_rotation
 from thalweg.images.model import ImagePoses
-
-FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=150.0)
 
 
 def poses_of(rng: np.random.Generator, n: int = 5) -> ImagePoses:
@@ -17,15 +16,11 @@ def poses_of(rng: np.random.Generator, n: int = 5) -> ImagePoses:
     centre, following = rng.normal(0, 50, (n, 3)), 0.5 * cov
     for a in (R, centre, cov, following):
         a[~known] = np.nan
-    return ImagePoses(
-        frame=FRAME,
-        images=tuple(f"{k}.jpg" for k in range(n)),
-        t_gps_s=1e9 + np.arange(n),
-        sigma_t_s=np.full(n, 0.02),
+    return predictions(
+        centre,
+        R,
         oriented=known,
         reasons=("", "no overlap", *[""] * (n - 2)),
-        centre_wcs_m=centre,
-        R_wcs_ccs=R,
         cov_pose_wcs=cov,
         cov_next=following,
         n_marks=np.where(known, 100.0, 0.0),

@@ -47,8 +47,6 @@ def test_a_covariance_changes_its_names_with_its_parameters():
         <coeffs>{" ".join(map(repr, C.ravel().tolist()))}</coeffs></covariance></sensor>"""
     )
     camera = sensor_camera(sensor, "a.xml", [])
-    assert camera is not None
-    assert camera.cov is not None
     at = [camera.parameter_names.index(name) for name in ("fx", "fy", "cx", "cy", "p1", "p2")]
     found = camera.cov[np.ix_(at, at)]
     assert found[0, 0] == pytest.approx(C[0, 0] + 2 * C[0, 1] + C[1, 1])

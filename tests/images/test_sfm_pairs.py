@@ -18,25 +18,27 @@ def as_set(pairs: np.ndarray) -> set[tuple[int, int]]:
     return {(int(a), int(b)) for a, b in pairs}
 
 
-def test_names_count_by_their_numbers():
-    order, notes = order_in_time(NAMES)
-    assert [NAMES[k] for k in order] == ["img_1.jpg", "img_2.jpg", "img_3.jpg", "img_10.jpg"]
-    assert notes == []
+OTHER_ORDER = "names do not follow time at 1 places: the order in time counts"
+WITHOUT_TIME = "1 images without time, such as img_2.jpg, are placed by their names"
 
 
-def test_time_counts_before_names():
-    order, notes = order_in_time(NAMES, np.array([20.0, 5.0, 10.0, 30.0]))
-    assert [NAMES[k] for k in order] == ["img_10.jpg", "img_1.jpg", "img_2.jpg", "img_3.jpg"]
-    assert notes == ["names do not follow time at 1 places: the order in time counts"]
-
-
-def test_an_image_without_time_stands_behind_its_name():
-    order, notes = order_in_time(NAMES, np.array([np.nan, 5.0, 10.0, 30.0]))
-    assert [NAMES[k] for k in order] == ["img_10.jpg", "img_1.jpg", "img_2.jpg", "img_3.jpg"]
-    assert notes[0] == "1 images without time, such as img_2.jpg, are placed by their names"
-    order, _ = order_in_time(NAMES, np.array([np.nan, 30.0, 10.0, 5.0]))
-    assert [NAMES[k] for k in order] == ["img_3.jpg", "img_1.jpg", "img_2.jpg", "img_10.jpg"]
-    assert order_in_time(NAMES, np.full(4, np.nan))[1] == []
+@pytest.mark.parametrize(
+    ("t_s", "numbers", "notes"),
+    [
+        pytest.param(None, [1, 2, 3, 10], [], id="names count by their numbers"),
+        pytest.param([np.nan] * 4, [1, 2, 3, 10], [], id="no image has a time"),
+        pytest.param([20, 5, 10, 30], [10, 1, 2, 3], [OTHER_ORDER], id="time counts before names"),
+        pytest.param([10, 10.5, 10, 10], [1, 2, 3, 10], [], id="equal times follow the names"),
+        pytest.param([np.nan, 5, 10, 30], [10, 1, 2, 3], [WITHOUT_TIME, OTHER_ORDER], id="behind its name"),
+        pytest.param(
+            [np.nan, 30, 10, 5], [3, 1, 2, 10], [WITHOUT_TIME, OTHER_ORDER], id="between the others"
+        ),
+    ],
+)
+def test_the_order_of_images(t_s, numbers, notes):
+    order, told = order_in_time(NAMES, None if t_s is None else np.array(t_s, float))
+    assert [NAMES[k] for k in order] == [f"img_{n}.jpg" for n in numbers]
+    assert told == notes
 
 
 def test_sequential_pairs():
@@ -83,12 +85,6 @@ def test_pairs_by_position_need_positions():
         GeometryError, match=r"no image has an approximate position.*sequential or exhaustive"
     ):
         image_pairs(np.arange(5), MappingSettings(pairs="spatial"), np.full((5, 3), np.nan))
-
-
-def test_equal_times_follow_the_names():
-    order, notes = order_in_time(NAMES, np.array([10.0, 10.5, 10.0, 10.0]))
-    assert [NAMES[k] for k in order] == ["img_1.jpg", "img_2.jpg", "img_3.jpg", "img_10.jpg"]
-    assert notes == []
 
 
 def test_names_of_cameras_are_their_own():
