@@ -518,7 +518,8 @@ def test_headlines_show_both_sides_of_a_result(ledger):
     by_name = shown.set_index(NAMED["entry"])
     assert by_name.loc["C051 RMSE", "verdict"].startswith("below a bound: 32.8 % of it")
     assert by_name.loc["C051 all points", "verdict"] == "not matched: off by +17 cm"
-    assert by_name.loc["C051 all points", ["printed", "ours"]].tolist() == ["14 cm", "31.48 cm"]
+    assert by_name.loc["C051 all points", "printed"] == "14 cm"
+    assert float(by_name.loc["C051 all points", "ours"].removesuffix(" cm")) > 28
     assert by_name["why"].str.len().min() > 10
     with pytest.raises(ConfigError, match="no entry C999"):
         headlines(ledger, NAMED.assign(entry="C999"))
