@@ -3,6 +3,7 @@
 import struct
 from collections.abc import Sequence
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,43 +11,35 @@ import pytest
 from PIL import Image
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from tests.ingest.writers import read_or_refused
-from thalweg.bathymetry import read_soundings
+from tests.ingest.writers import new_campaign, noted, read_or_refused, sounded
 from thalweg.cli import main
 from thalweg.core import InputError, gps_from_unix, gps_from_week
-from thalweg.ingest import TrackOptions
+from thalweg.ingest import PoseLog, TrackOptions
 from thalweg.ingest.photos import read_image_stamps
 from thalweg.ingest.recorders import USUAL_LAG_S, read_ardupilot
-from thalweg.ingest.registry import describe, read_depths, recognise, stream_of
+from thalweg.ingest.registry import describe, recognise, stream_of
 
-SIZES = {
-    "Q": "Q",
-    "B": "B",
-    "I": "I",
-    "H": "H",
-    "c": "h",
-    "C": "H",
-    "L": "i",
-    "f": "f",
-    "E": "I",
-    "N": "16s",
-    "Z": "64s",
-}
+SIZES = {"c": "h", "C": "H", "L": "i", "E": "I", "N": "16s", "Z": "64s"}
+"""Of formats that `struct` writes with another letter."""
 SCALES = {"c": 0.01, "C": 0.01, "L": 1e-7, "E": 0.01}
-MESSAGES = {
-    "GPS": (130, "QBBIHBCLLf", "TimeUS,I,Status,GMS,GWk,NSats,HDop,Lat,Lng,Alt"),
-    "GPA": (131, "QBCCCf", "TimeUS,I,VDop,HAcc,VAcc,Und"),
-    "ATT": (132, "Qccc", "TimeUS,Roll,Pitch,Yaw"),
-    "POS": (133, "QLLf", "TimeUS,Lat,Lng,Alt"),
-    "XKF4": (134, "QBfB", "TimeUS,C,errRP,PI"),
-    "XKV1": (135, "QBffffffffff", "TimeUS,C,V00,V01,V02,V03,V04,V05,V06,V07,V08,V09"),
-    "DPTH": (136, "QLLf", "TimeUS,Lat,Lng,Depth"),
-    "RFND": (137, "QBfBB", "TimeUS,Instance,Dist,Stat,Orient"),
-    "PARM": (138, "QNf", "TimeUS,Name,Value"),
-    "MSG": (139, "QZ", "TimeUS,Message"),
-    "CAM": (140, "QBH", "TimeUS,I,Img"),
-}
+FORMATS = """\
+GPS QBBIHBCLLf TimeUS,I,Status,GMS,GWk,NSats,HDop,Lat,Lng,Alt
+GPA QBCCCf TimeUS,I,VDop,HAcc,VAcc,Und
+ATT Qccc TimeUS,Roll,Pitch,Yaw
+POS QLLf TimeUS,Lat,Lng,Alt
+XKF4 QBfB TimeUS,C,errRP,PI
+XKV1 QBffffffffff TimeUS,C,V00,V01,V02,V03,V04,V05,V06,V07,V08,V09
+DPTH QLLf TimeUS,Lat,Lng,Depth
+PARM QNf TimeUS,Name,Value
+MSG QZ TimeUS,Message
+CAM QBH TimeUS,I,Img
+"""
+MESSAGES = {row.split()[0]: (kind, *row.split()[1:]) for kind, row in enumerate(FORMATS.splitlines(), 130)}
 WEEK, LAG_S = 2300, 0.2
+
+
+def layout(form: str) -> str:
+    return "<" + "".join(SIZES.get(c, c) for c in form)
 
 
 def packed(name: str, *values: object) -> bytes:
@@ -55,27 +48,24 @@ def packed(name: str, *values: object) -> bytes:
         v.encode() if isinstance(v, str) else round(v / SCALES[c]) if c in SCALES else v
         for c, v in zip(form, values, strict=True)
     ]
-    return struct.pack("<BBB" + "".join(SIZES[c] for c in form), 0xA3, 0x95, kind, *raw)
+    return bytes([0xA3, 0x95, kind]) + struct.pack(layout(form), *raw)
 
 
 def heads() -> bytes:
     out = b""
-    for name, (kind, form, columns) in {
-        "FMT": (128, "BBnNZ", "Type,Length,Name,Format,Columns"),
-        **MESSAGES,
-    }.items():
-        length = 89 if name == "FMT" else 3 + struct.calcsize("<" + "".join(SIZES[c] for c in form))
-        out += struct.pack(
-            "<BBBBB4s16s64s", 0xA3, 0x95, 128, kind, length, name.encode(), form.encode(), columns.encode()
-        )
+    all_kinds = {"FMT": (128, "BBnNZ", "Type,Length,Name,Format,Columns"), **MESSAGES}
+    for name, (kind, form, columns) in all_kinds.items():
+        length = 89 if name == "FMT" else 3 + struct.calcsize(layout(form))
+        words = (each.encode() for each in (name, form, columns))
+        out += struct.pack("<BBBBB4s16s64s", 0xA3, 0x95, 128, kind, length, *words)
     return out
 
 
-def boat_log(*, und_m: float = -46.5, delay_ms: float = 0.0, depth: str = "DPTH", gps: bool = True) -> bytes:
+def boat_log(*, und_m: float = -46.5, gps: bool = True) -> bytes:
     """Two crossings of a river in 60 s at 10 Hz, 4 m deep; a receiver whose fixes come `LAG_S` late."""
     out = [
         heads(),
-        packed("PARM", 1_000, "GPS1_DELAY_MS", delay_ms),
+        packed("PARM", 1_000, "GPS1_DELAY_MS", 0.0),
         packed("MSG", 1_000, "ArduRover V4.5.1 (ab)"),
     ]
     for k in range(600):
@@ -92,23 +82,21 @@ def boat_log(*, und_m: float = -46.5, delay_ms: float = 0.0, depth: str = "DPTH"
                 out.append(packed("XKF4", us, core, 0.006 * scale**0.5, 1))
                 v = [2.1447e-4, 4.466e-6, 4.474e-6, 1.9831e-5, 1.0, 1.0, 1.0, 0.0004, 0.0009, 0.0016]
                 out.append(packed("XKV1", us, core, *(scale * x for x in v)))
-        if depth == "DPTH":
-            out.append(packed("DPTH", us + 20_000, lat, lng, 4.0 + 0.1 * (k % 3)))
-        else:
-            out.append(packed("RFND", us + 20_000, 0, 4.0, 4 if k % 10 else 2, 25))
-            out.append(packed("RFND", us + 20_000, 1, 30.0, 4, 0))  # looks ahead
+        out.append(packed("DPTH", us + 20_000, lat, lng, 4.0 + 0.1 * (k % 3)))
     return b"".join(out)
 
 
+def read(path: Path) -> PoseLog:
+    return read_ardupilot([path], TrackOptions())
+
+
 @pytest.fixture
-def boat(tmp_path):
-    path = tmp_path / "00000042.BIN"
-    path.write_bytes(boat_log())
-    return path
+def boat(saved):
+    return saved("00000042.BIN", boat_log())
 
 
 def test_a_boat_has_attitude_place_depth_and_their_sigmas_on_gps_time(boat):
-    log = read_ardupilot([boat], TrackOptions())
+    log = read(boat)
     assert log.report.model == "ArduRover V4.5.1 (ab)"
     assert (len(log.states), len(log.positions), len(log.depths)) == (600, 300, 600)
     # boot second 50 is when the fix of the epoch LAG_S before it came: the usual lag is presumed
@@ -149,68 +137,50 @@ def test_camera_triggers_are_times_of_photographs(boat, tmp_path):
     assert found.table["file"].tolist() == ["DSC_9.jpg", "DSC_10.jpg", "DSC_11.jpg"]
     first = float(gps_from_week(WEEK, 100_010.0)) - LAG_S + USUAL_LAG_S
     assert found.table["t_device_s"].to_numpy() == pytest.approx(first + 2.5 * np.arange(3), abs=1e-4)
-    assert any("arrive 0.12 s late (presumed)" in note for note in found.report.notes)
-    assert any("3 camera triggers: named in logs.time_lapse.times" in n for n in describe(boat).notes)
+    assert noted(found, "arrive 0.12 s late (presumed)")
+    assert noted(describe(boat), "3 camera triggers: named in logs.time_lapse.times")
     (photos / "DSC_12.jpg").write_bytes((photos / "DSC_9.jpg").read_bytes())
     with pytest.raises(InputError, match="3 camera triggers beside 4 photographs"):
         read_image_stamps(photos, times=boat)
 
 
-def test_a_stated_lag_counts(tmp_path):
-    path = tmp_path / "log.bin"
-    path.write_bytes(boat_log(delay_ms=1e3 * LAG_S))
-    log = read_ardupilot([path], TrackOptions())
-    assert log.states["t_gps_s"].iloc[0] == pytest.approx(float(gps_from_week(WEEK, 100_000.0)), abs=1e-4)
-    assert any("0.20 s late (stated)" in note for note in log.report.notes)
-
-
-def test_rangefinders_count_where_they_look_down_and_see_the_bottom(tmp_path):
-    path = tmp_path / "log.bin"
-    path.write_bytes(boat_log(depth="RFND"))
-    depths = read_depths([path]).depths
-    assert depths["depth_m"].value_counts().to_dict() == {4.0: 540, 0.0: 60}
-
-
-def test_the_driver_of_novatel_counts_undulations_upwards(tmp_path):
-    path = tmp_path / "log.bin"
-    path.write_bytes(boat_log(und_m=46.5).replace(b"ArduRover V4.5.1 (ab)", b"GPS 1: detected NOVA "))
-    assert read_ardupilot([path], TrackOptions()).positions["h_ell_m"].iloc[0] == pytest.approx(146.5)
+def test_the_driver_of_novatel_counts_undulations_upwards(saved):
+    path = saved(
+        "flight.tlog", boat_log(und_m=46.5).replace(b"ArduRover V4.5.1 (ab)", b"GPS 1: detected NOVA ")
+    )
+    assert read(path).positions["h_ell_m"].iloc[0] == pytest.approx(146.5)
 
 
 @pytest.mark.parametrize("und_m", [float("nan"), 0.0])
-def test_without_undulation_there_is_no_ellipsoidal_height(tmp_path, und_m):
-    path = tmp_path / "log.bin"
-    path.write_bytes(boat_log(und_m=und_m))
-    log = read_ardupilot([path], TrackOptions())
+def test_without_undulation_there_is_no_ellipsoidal_height(saved, und_m):
+    path = saved("flight.tlog", boat_log(und_m=und_m))
+    log = read(path)
     assert log.states["h_ell_m"].isna().all()
-    assert any("above mean sea level" in note for note in log.report.notes)
+    assert noted(log, "above mean sea level")
 
 
 def test_damage_is_counted(boat):
     data = boat.read_bytes()
     boat.write_bytes(data[:40_000] + b"\0" * 100 + data[40_000:-7])
-    log = read_ardupilot([boat], TrackOptions())
+    log = read(boat)
     assert log.report.losses["bytes_outside_messages"] >= 100
     assert len(log.states) >= 598
 
 
-def test_a_log_without_gps_stays_on_the_clock_of_the_device(tmp_path):
-    path = tmp_path / "log.bin"
-    path.write_bytes(boat_log(gps=False))
+def test_a_log_without_gps_stays_on_the_clock_of_the_device(saved):
+    path = saved("flight.tlog", boat_log(gps=False))
     report = describe(path)
     assert not report.synchronised
-    assert any("No GPS time" in note for note in report.notes)
+    assert noted(report, "No GPS time")
 
 
 def test_soundings_of_a_log_make_a_bed(boat):
     assert (recognise(boat), stream_of("dataflash", boat)) == ("dataflash", "ins")
-    soundings = read_soundings(
-        boat, None, column=None, depth=None, level_m=None, line_column=None, sigma_m=0.05
-    )
+    soundings = sounded(boat, None)
     assert soundings.depth
     assert soundings.crs.to_epsg() == 32633
     assert -soundings.height_m.mean() == pytest.approx(4.1, abs=0.01)
-    assert any("without a position at their time" in note for note in soundings.notes)
+    assert noted(soundings, "without a position at their time")
 
 
 def telemetry(
@@ -250,11 +220,10 @@ def telemetry(
     return b"".join(out)
 
 
-def test_telemetry_gives_the_same_tables(tmp_path):
-    path = tmp_path / "flight.tlog"
-    path.write_bytes(telemetry(said=(b"hello", b"ArduRover V4")))
+def test_telemetry_gives_the_same_tables(saved):
+    path = saved("flight.tlog", telemetry(said=(b"hello", b"ArduRover V4")))
     assert recognise(path) == "mavlink"
-    log = read_ardupilot([path], TrackOptions())
+    log = read(path)
     state = log.states.iloc[50]
     assert state.t_gps_s == pytest.approx(float(gps_from_unix(1.7e9 + 10.0)), abs=1e-3)
     assert (state.roll_rad, state.pitch_rad) == pytest.approx((0.01, -0.02))
@@ -275,70 +244,61 @@ def test_telemetry_gives_the_same_tables(tmp_path):
     assert log.triggers_gps_s == pytest.approx([float(gps_from_unix(1.7e9 + 4.0))] * 2, abs=1e-3)
 
 
-def test_signed_telemetry_is_recognised(tmp_path):
-    path = tmp_path / "flight.tlog"
-    path.write_bytes(telemetry(signed=True))
+def test_signed_telemetry_is_recognised(saved):
+    path = saved("flight.tlog", telemetry(signed=True))
     assert len(path.read_bytes()) == len(telemetry()) + 13 * (5 * 100 + 2)
     assert recognise(path) == "mavlink"
-    assert len(read_ardupilot([path], TrackOptions()).states) == 100
+    assert len(read(path).states) == 100
 
 
 @pytest.mark.parametrize("unix_s", [1.7e9, 0.0])
-def test_fixes_may_be_stamped_since_1970(tmp_path, unix_s):
+def test_fixes_may_be_stamped_since_1970(saved, unix_s):
     """MAVLink leaves it open; without SYSTEM_TIME nothing ties them to the clock of all others."""
-    path = tmp_path / "flight.tlog"
-    path.write_bytes(telemetry(unix_s=unix_s, raw_from_us=1_699_999_980_000_000))
-    log = read_ardupilot([path], TrackOptions())
+    path = saved("flight.tlog", telemetry(unix_s=unix_s, raw_from_us=1_699_999_980_000_000))
+    log = read(path)
     t = log.positions["t_gps_s"].to_numpy()
     np.testing.assert_allclose(t, log.states["t_gps_s"] if unix_s else [], atol=1e-3)
     assert log.report.losses.get("fixes_on_another_clock", 0) == (0 if unix_s else 100)
 
 
-def test_telemetry_without_a_clock_has_no_gps_time(tmp_path):
-    path = tmp_path / "flight.tlog"
-    path.write_bytes(telemetry(unix_s=0.0))
+def test_telemetry_without_a_clock_has_no_gps_time(saved):
+    path = saved("flight.tlog", telemetry(unix_s=0.0))
     report = describe(path)
     assert not report.synchronised
-    assert any("ground station received it 2022-04-15" in note for note in report.notes)
+    assert noted(report, "ground station received it 2022-04-15")
 
 
-def test_what_a_ground_station_says_is_not_the_vehicles(tmp_path):
-    path = tmp_path / "flight.tlog"
-    path.write_bytes(telemetry(component=190))
+def test_what_a_ground_station_says_is_not_the_vehicles(saved):
+    path = saved("flight.tlog", telemetry(component=190))
     with pytest.raises(InputError, match="neither attitudes, positions nor depths"):
         describe(path)
 
 
 @pytest.mark.parametrize("other", [{"system": 2}, {"unix_s": 1.8e9}])
-def test_of_two_vehicles_or_two_starts_one_is_taken(tmp_path, other):
-    path = tmp_path / "flight.tlog"
-    path.write_bytes(telemetry(n=60, **other) + telemetry())
-    log = read_ardupilot([path], TrackOptions())
+def test_of_two_vehicles_or_two_starts_one_is_taken(saved, other):
+    path = saved("flight.tlog", telemetry(n=60, **other) + telemetry())
+    log = read(path)
     assert len(log.states) == 100
     assert log.report.counts["messages_of_other_vehicles_or_starts"] == 302
     assert log.states["t_gps_s"].iloc[50] == pytest.approx(float(gps_from_unix(1.7e9 + 10.0)), abs=1e-3)
-    assert any("start with most messages is taken" in note for note in log.report.notes)
+    assert noted(log, "start with most messages is taken")
 
 
-def test_of_two_sounders_one_is_taken_and_what_lies_outside_its_reach_is_no_bottom(tmp_path):
-    path = tmp_path / "flight.tlog"
-    path.write_bytes(telemetry(n=20, ranges_cm=[(410, 5000 if k % 2 else 0) for k in range(20)]))
-    log = read_ardupilot([path], TrackOptions())
+def test_of_two_sounders_one_is_taken_and_what_lies_outside_its_reach_is_no_bottom(saved):
+    path = saved("flight.tlog", telemetry(n=20, ranges_cm=[(410, 5000 if k % 2 else 0) for k in range(20)]))
+    log = read(path)
     assert set(log.depths["depth_m"]) == {4.1}
     assert log.report.counts["pings_of_other_sounders"] == 20
     path.write_bytes(
         telemetry(n=20, ranges_cm=[(5001 if k % 3 else 5000 if k % 4 else 410,) for k in range(20)])
     )
-    assert read_ardupilot([path], TrackOptions()).depths["depth_m"].value_counts().to_dict() == {
-        0: 18,
-        4.1: 2,
-    }
+    assert read(path).depths["depth_m"].value_counts().to_dict() == {0: 18, 4.1: 2}
 
 
 @pytest.mark.real
 def test_real_logs_are_as_pymavlink_counts_them(data_dir):
     today = data_dir / "today"
-    plane = read_ardupilot([today / "ardupilot_pymavlink/test.BIN"], TrackOptions())
+    plane = read(today / "ardupilot_pymavlink/test.BIN")
     assert (len(plane.positions), len(plane.states)) == (5, 24)
     assert plane.positions["t_gps_s"].iloc[0] == pytest.approx(float(gps_from_week(1973, 6448.0)))
     first = plane.positions.iloc[0]
@@ -346,18 +306,14 @@ def test_real_logs_are_as_pymavlink_counts_them(data_dir):
     sub = describe(today / "mavlink_ardusub/small.BIN")
     assert sub.counts["states"] == 237
     assert not sub.synchronised
-    far = read_ardupilot([today / "mavlink_ardusub/small.tlog"], TrackOptions())
+    far = read(today / "mavlink_ardusub/small.tlog")
     assert far.report.losses == {"bad_messages": 4}
     assert (far.report.details["messages"]["ATTITUDE"], len(far.states)) == (5245, 5245)
     assert not far.report.synchronised
 
 
 def test_one_file_stands_in_each_stream_that_it_holds(boat, tmp_path, capsys):
-    folder = tmp_path / "campaigns"
-    assert main(["new-campaign", "boat", "--from-logs", str(tmp_path), "--folder", str(folder)]) == 0
-    path = folder / "boat.yaml"
-    text = path.read_text().replace("lever_ics_m: CHANGE", "lever_ics_m: [0.0, 0.0, 0.3]")
-    path.write_text(text)
+    path = new_campaign(boat.parent, tmp_path / "campaigns")
     assert main(["check-config", str(path)]) == 0
     assert "files: 1 ins, 1 depth" in capsys.readouterr().out
 

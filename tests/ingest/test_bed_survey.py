@@ -21,13 +21,13 @@ def points(n: int = 20) -> np.ndarray:
     return np.random.default_rng(4).uniform([-50, -50, -3], [50, 50, 0], (n, 3))
 
 
-def test_points_of_all_files_come_into_the_world(tmp_path):
+def test_points_of_all_files_come_into_the_world(tmp_path, saved):
     first, second = points()[:12], points()[12:]
     (tmp_path / "a.csv").write_text(text(first), encoding="utf-8-sig")
     lines = text(second, 0.05).splitlines()
     # another order of columns, blanks and a column more
     mixed = [", ".join([f"P{k}", *reversed(line.split(","))]) for k, line in enumerate(lines)]
-    (tmp_path / "b.csv").write_text("\n".join(mixed) + "\n")
+    saved("b.csv", "\n".join(mixed) + "\n")
     found = read_bed_survey([tmp_path / "a.csv", tmp_path / "b.csv"], FRAME, UTM)
     # four digits in the files
     assert found.points_wcs_m == pytest.approx(points(), abs=1e-4)
@@ -54,29 +54,28 @@ SWAPPED = "east_m,north_m,h_ell_m,sigma_m\n" + "".join(
         ("\x00\xff", r"zero bytes; expected a table as text"),
     ],
 )
-def test_what_is_no_bed_is_refused_with_its_place(tmp_path, content, answer):
+def test_what_is_no_bed_is_refused_with_its_place(saved, content, answer):
     assert content != GOOD
-    path = tmp_path / "bed.csv"
-    path.write_bytes(content.encode("latin-1"))
+    path = saved("bed.csv", content.encode("latin-1"))
     with pytest.raises(InputError, match=answer) as caught:
         read_bed_survey([path], FRAME, UTM)
     assert "bed.csv" in str(caught.value)
 
 
-def test_what_a_table_says_itself_is_followed(tmp_path):
+def test_what_a_table_says_itself_is_followed(tmp_path, saved):
     """Another name, another separator, another unit: the same points."""
-    (tmp_path / "a.csv").write_text(GOOD)
+    saved("a.csv", GOOD)
     rows = [[float(x) for x in row.split(",")] for row in GOOD.split()[1:]]
     lines = [";".join(f"{v / 0.3048:.6f}".replace(".", ",") for v in row) for row in rows]
-    (tmp_path / "b.csv").write_text("\n".join(["Easting [ft];Northing [ft];Elevation [ft];SD [ft]", *lines]))
+    saved("b.csv", "\n".join(["Easting [ft];Northing [ft];Elevation [ft];SD [ft]", *lines]))
     one, other = (read_bed_survey([tmp_path / name], FRAME, UTM) for name in ("a.csv", "b.csv"))
     assert other.points_wcs_m == pytest.approx(one.points_wcs_m, abs=1e-6)
     assert other.sigma_m == pytest.approx(one.sigma_m, abs=1e-6)
 
 
-def test_a_missing_file_and_swapped_axes_are_named(tmp_path):
+def test_a_missing_file_and_swapped_axes_are_named(tmp_path, saved):
     with pytest.raises(InputError, match="file not found"):
         read_bed_survey([tmp_path / "none.csv"], FRAME, UTM)
-    (tmp_path / "bed.csv").write_text(SWAPPED)
+    saved("bed.csv", SWAPPED)
     with pytest.raises(Exception, match=r"swapped|area of use|outside of"):
         read_bed_survey([tmp_path / "bed.csv"], FRAME, UTM)

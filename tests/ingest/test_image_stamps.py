@@ -8,6 +8,7 @@ import pytest
 from numpy.testing import assert_allclose
 from PIL import Image
 
+from tests.ingest.writers import noted, numbers
 from thalweg.core import ClockError, InputError, gps_from_unix, read_table, write_table
 from thalweg.ingest import explain_shift
 from thalweg.ingest.photos import IMAGE_STAMPS, list_images, read_head, read_image_stamps
@@ -38,30 +39,33 @@ def photo(
     return path
 
 
-@pytest.mark.parametrize(
-    ("stem", "seconds", "resolution"),
-    [
-        ("R20210512_083107123", UNIX + 0.123, 1e-3),
-        ("IMG_20210512_083107_123", UNIX + 0.123, 1e-3),
-        ("2021-05-12T08-31-07.123", UNIX + 0.123, 1e-3),
-        ("PXL_20210512_083107123.MP", UNIX + 0.123, 1e-3),
-        ("cam1_2021-05-12_08.31.07.123456", UNIX + 0.123456, 1e-6),
-        ("20210512_083107", UNIX, 1.0),
-        ("1620808267123", UNIX + 0.123, 1e-3),
-        ("frame_1620808267.123456", UNIX + 0.123456, 1e-6),
-        ("1620808267123456789", UNIX + 0.123456789, 1e-9),
-        ("2021-05-12T08-31-07.123456789", UNIX + 0.123456789, 1e-9),
-        ("2021-05-12 08.31.07 PM", UNIX + 43200, 1.0),
-        ("2021-05-12 08.31.07 am", UNIX, 1.0),
-        ("20210512_083107-0400", UNIX, 1.0),  # a counter
-        ("20210512_083107+123", UNIX, 1.0),
-    ],
-)
-def test_usual_names(stem, seconds, resolution):
+NAMES = """\
+0.123       1e-3 R20210512_083107123
+0.123       1e-3 IMG_20210512_083107_123
+0.123       1e-3 2021-05-12T08-31-07.123
+0.123       1e-3 PXL_20210512_083107123.MP
+0.123456    1e-6 cam1_2021-05-12_08.31.07.123456
+0           1    20210512_083107
+0.123       1e-3 1620808267123
+0.123456    1e-6 frame_1620808267.123456
+0.123456789 1e-9 1620808267123456789
+0.123456789 1e-9 2021-05-12T08-31-07.123456789
+43200       1    2021-05-12 08.31.07 PM
+0           1    2021-05-12 08.31.07 am
+0           1    20210512_083107-0400
+0           1    20210512_083107+123
+0           1    IMG_20210512_083107_1
+"""
+"""Seconds behind 2021-05-12T08:31:07Z, resolution, name; the numbers behind the last three are counters."""
+
+
+@pytest.mark.parametrize("case", NAMES.splitlines())
+def test_usual_names(case):
+    seconds, resolution, stem = case.split(maxsplit=2)
     stamp = stamp_from_name(stem)
     # a Unix time in float64 resolves 240 ns
-    assert stamp.shown_s == pytest.approx(seconds, abs=3e-7)
-    assert stamp.resolution_s == pytest.approx(resolution)
+    assert stamp.shown_s == pytest.approx(UNIX + float(seconds), abs=3e-7)
+    assert stamp.resolution_s == pytest.approx(float(resolution))
     assert stamp.utc_offset_s is None
 
 
@@ -83,18 +87,13 @@ def test_names_without_a_time(stem):
     assert stamp_from_name(stem) is None
 
 
-def test_a_burst_counter_is_no_fraction():
-    stamp = stamp_from_name("IMG_20210512_083107_1")
-    assert stamp.resolution_s == 1.0
-
-
 @pytest.mark.parametrize("when", [None, "2021:05:12 08:31:07"])
 def test_digits_that_count_the_images_are_no_fraction(tmp_path, when):
     for k in range(4):
         photo(tmp_path / f"dji_fly_20210512_0831{7 + 3 * k:02d}_{100 + k}_photo.jpg", when)
     found = read_image_stamps(tmp_path, source="name")
     assert found.table["t_device_s"].tolist() == [T0, T0 + 3, T0 + 6, T0 + 9]
-    assert any("Three digits behind the second count the images" in note for note in found.report.notes)
+    assert noted(found, "Three digits behind the second count the images")
 
 
 def test_times_of_the_last_change_are_told(tmp_path):
@@ -104,7 +103,7 @@ def test_times_of_the_last_change_are_told(tmp_path):
     notes = read_image_stamps(tmp_path).report.notes
     assert any("1 stamps are of the last change of the file (EXIF DateTime)" in note for note in notes)
     photo(tmp_path / "a.jpg", "2021:05:12 08:31:07")
-    assert not any("last change" in note for note in read_image_stamps(tmp_path).report.notes)
+    assert not noted(read_image_stamps(tmp_path), "last change")
 
 
 @pytest.mark.parametrize(
@@ -147,16 +146,10 @@ def test_unusable_patterns_are_told(pattern, word):
 
 def test_exif_with_sub_seconds_and_zone(tmp_path):
     head = read_head(photo(tmp_path / "a.jpg", "2021:05:12 10:31:07", "025", "+02:00"))
-    assert head.stamp == CivilStamp(
-        second_s=UNIX + 7200, fraction_s=0.025, resolution_s=1e-3, utc_offset_s=7200.0
-    )
-    assert (head.width, head.height, head.make, head.model, head.focal_mm) == (
-        32,
-        24,
-        "Panasonic",
-        "DMC-GX80",
-        14.0,
-    )
+    stamp = {"second_s": UNIX + 7200, "fraction_s": 0.025, "resolution_s": 1e-3, "utc_offset_s": 7200.0}
+    assert head.stamp == CivilStamp(**stamp)
+    camera = (head.width, head.height, head.make, head.model, head.focal_mm)
+    assert camera == (32, 24, "Panasonic", "DMC-GX80", 14.0)
 
 
 @pytest.mark.parametrize(
@@ -204,7 +197,7 @@ def test_local_time_needs_its_offset(tmp_path):
     photo(tmp_path / "a.jpg", "2021:05:12 10:31:07", "0")
     as_utc, as_local = (read_image_stamps(tmp_path, utc_offset=zone) for zone in (None, "+02:00"))
     assert as_utc.table["t_device_s"][0] - as_local.table["t_device_s"][0] == 7200.0
-    assert any("read as UTC" in note for note in as_utc.report.notes)
+    assert noted(as_utc, "read as UTC")
     with pytest.raises(InputError, match="no offset"):
         read_image_stamps(tmp_path, utc_offset="summer")
 
@@ -218,18 +211,15 @@ def test_names_in_local_time_against_exif_in_utc_are_named_not_corrected(tmp_pat
     assert found.table["t_device_s"][0] == pytest.approx(T0 - 7 + 7200.5, abs=3e-7)
 
 
-def test_what_is_missing_double_or_out_of_order_is_named(tmp_path):
+def test_what_is_missing_double_or_out_of_order_is_named(tmp_path, saved):
     Image.new("RGB", (8, 8)).save(tmp_path / "IMG_2.jpg")  # no time
-    (tmp_path / "IMG_3.jpg").write_bytes(b"not an image")
-    (tmp_path / "IMG_4.jpg").write_bytes(b"")
+    saved("IMG_3.jpg", b"not an image")
+    saved("IMG_4.jpg", b"")
     for name, second in (("IMG_5", 9), ("IMG_6", 7), ("IMG_10", 8), ("IMG_11", 8)):
         photo(tmp_path / f"{name}.jpg", f"2021:05:12 08:31:{second:02d}")
     found = read_image_stamps(tmp_path)
-    losses = found.report.losses
-    assert losses["images_without_time"] == 3
-    assert losses["images_unreadable"] == 2
-    assert losses["repeated_stamps"] == 1
-    assert losses["steps_back"] == 1
+    losses = "images_without_time images_unreadable repeated_stamps steps_back\n 3 2 1 1"
+    assert found.report.losses == numbers(losses).iloc[0].to_dict()
     text = " ".join(found.report.notes)
     for name in ("IMG_2.jpg", "IMG_3.jpg", "IMG_4.jpg", "IMG_6.jpg", "IMG_11.jpg"):
         assert name in text
@@ -242,7 +232,7 @@ def test_mixed_sources_are_counted(tmp_path):
     photo(tmp_path / "retake.jpg", "2021:05:12 08:31:09", "000")
     found = read_image_stamps(tmp_path)
     assert found.report.counts["times_from_name"] == found.report.counts["times_from_exif"] == 1
-    assert any("mixed sources: 1 from name, 1 from exif" in note for note in found.report.notes)
+    assert noted(found, "mixed sources: 1 from name, 1 from exif")
 
 
 def test_a_hole_is_a_gap_with_the_number_of_images(tmp_path):
@@ -252,28 +242,31 @@ def test_a_hole_is_a_gap_with_the_number_of_images(tmp_path):
     assert (gap.duration_s, gap.lost) == (4.0, 3)
 
 
-@pytest.mark.parametrize(
-    ("text", "form", "fraction", "resolution", "offset"),
-    [
-        (f"{UNIX}.25", "unix_s", 0.25, 0.01, 0.0),
-        (f"{UNIX},75", "unix_s", 0.75, 0.01, 0.0),
-        (f"{UNIX}", "unix_s", 0.0, 1.0, 0.0),
-        ("1.620808267123000000e+09", "unix_s", 0.123, 1e-6, 0.0),
-        (f"{T0 + 0.5}", "t_gps_s", 0.5, 0.1, 0.0),
-        ("2021-05-12T08:31:07.125+02:00", "time_utc", 0.125, 0.001, 7200.0),
-    ],
-)
-def test_a_time_of_a_table_by_hand(text, form, fraction, resolution, offset):
+CELLS = """\
+unix_s   0.25  0.01  0    1620808267.25
+unix_s   0.75  0.01  0    1620808267,75
+unix_s   0     1     0    1620808267
+unix_s   0.123 1e-6  0    1.620808267123000000e+09
+t_gps_s  0.5   0.1   0    304843485.5
+time_utc 0.125 0.001 7200 2021-05-12T08:31:07.125+02:00
+"""
+"""Column, fraction of the second 2021-05-12T08:31:07, resolution, offset from UTC, and what is written."""
+
+
+@pytest.mark.parametrize("case", CELLS.splitlines())
+def test_a_time_of_a_table_by_hand(case):
+    form, *expected, text = case.split()
     found = _stamp(text, form, "a")
-    numbers = (found.second_s, found.fraction_s, found.resolution_s, found.utc_offset_s)
-    assert numbers == pytest.approx((UNIX, fraction, resolution, offset), abs=3e-7)
+    stamp = (found.second_s, found.fraction_s, found.resolution_s, found.utc_offset_s)
+    assert stamp == pytest.approx((UNIX, *map(float, expected)), abs=3e-7)
 
 
-def test_a_table_of_times(tmp_path):
+def test_a_table_of_times(tmp_path, saved):
     for name in ("a.jpg", "b.jpg", "c.jpg"):
         photo(tmp_path / name)
-    (tmp_path / "times.csv").write_text(
-        "file,time_utc\na.jpg,2021-05-12T08:31:07.125Z\nb.jpg,2021-05-12T10:31:08.5+02:00\nd.jpg,2021-05-12T08:31:09Z\n"
+    saved(
+        "times.csv",
+        "file,time_utc\na.jpg,2021-05-12T08:31:07.125Z\nb.jpg,2021-05-12T10:31:08.5+02:00\nd.jpg,2021-05-12T08:31:09Z\n",
     )
     found = read_image_stamps(list_images(tmp_path), times=tmp_path / "times.csv")
     assert_allclose(found.table["t_device_s"][:2], [T0 + 0.125, T0 + 1.5], atol=3e-7)
@@ -290,8 +283,8 @@ def test_a_table_of_times(tmp_path):
         ("file,unix_s\n,1620808267\n", "without file name"),
     ],
 )
-def test_unusable_tables_are_told_with_their_line(tmp_path, text, word):
-    (tmp_path / "t.csv").write_text(text)
+def test_unusable_tables_are_told_with_their_line(tmp_path, saved, text, word):
+    saved("t.csv", text)
     with pytest.raises(InputError, match=word):
         read_time_table(tmp_path / "t.csv")
 
@@ -307,15 +300,14 @@ def test_no_time_at_all_ends_with_a_cure(tmp_path):
         read_image_stamps(tmp_path / "empty")
 
 
-def test_damaged_exif_is_read_as_far_as_it_goes(tmp_path):
+def test_damaged_exif_is_read_as_far_as_it_goes(tmp_path, saved):
     whole = photo(tmp_path / "R20210512_083107000.jpg", "2021:05:12 08:31:07", "5").read_bytes()
     rng = np.random.default_rng(1)
     for k in range(40):
         data = bytearray(whole)
         for place in rng.integers(20, 200, 6):
             data[place] = int(rng.integers(256))
-        path = tmp_path / f"R20210512_0832{k:02d}000.jpg"
-        path.write_bytes(bytes(data))
+        saved(f"R20210512_0832{k:02d}000.jpg", bytes(data))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         found = read_image_stamps(tmp_path)
@@ -324,24 +316,25 @@ def test_damaged_exif_is_read_as_far_as_it_goes(tmp_path):
     assert np.isfinite(found.table["t_device_s"]).all()
 
 
-@pytest.mark.parametrize(
-    ("shift", "words"),
-    [
-        (3600.2, "+1:00 h"),
-        (-19800.0, "-5:30 h"),
-        (18.0, "leap seconds"),
-        (-17.6, "leap seconds"),
-        (86_400.0, "+1 day(s)"),
-        (90_000.0, "+1 day(s) and +1:00 h"),
-        (3.0, "leap seconds that one"),
-        (3.2, ""),
-        (619_315_200.2, "+1024 weeks"),
-        (-1_238_630_400.0 - 7200.0, "-2048 weeks: the week counter of a receiver rolled over; -2:00 h"),
-        (700.0, ""),
-        (2.3, ""),
-        (0.0, ""),
-    ],
-)
-def test_shifts_are_named(shift, words):
-    found = explain_shift(shift)
-    assert (words in found) if words else found == ""
+SHIFTS = """\
+3600.2 +1:00 h
+-19800.0 -5:30 h
+18.0 leap seconds
+-17.6 leap seconds
+86400.0 +1 day(s)
+90000.0 +1 day(s) and +1:00 h
+3.0 leap seconds that one
+619315200.2 +1024 weeks
+-1238637600.0 -2048 weeks: the week counter of a receiver rolled over; -2:00 h
+"""
+
+
+@pytest.mark.parametrize("case", SHIFTS.splitlines())
+def test_shifts_are_named(case):
+    shift, words = case.split(maxsplit=1)
+    assert words in explain_shift(float(shift))
+
+
+@pytest.mark.parametrize("shift", [3.2, 700.0, 2.3, 0.0])
+def test_other_shifts_are_of_a_clock(shift):
+    assert explain_shift(shift) == ""

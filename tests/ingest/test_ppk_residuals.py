@@ -4,6 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from tests.ingest.writers import numbers
 from thalweg.core import ArrayF
 from thalweg.ingest.ppk.residuals import CODE_RATIO, PHASE_M, code_factors, phase_factor, read_residuals
 
@@ -99,13 +100,13 @@ def test_the_status_file_is_read(tmp_path):
     assert read_residuals(path).empty
     path.write_text(STATUS)
     table = read_residuals(path)
-    assert table["t_gps_s"].tolist() == [
-        2157 * 604800 + 291606.0 - 1e9,
-        *[2157 * 604800 + 291607.0 - 1e9] * 2,
-    ]
-    assert table["group"].tolist() == ["G1", "G1", "G2"]
-    assert table["code_m"].tolist() == [-0.5539, 0.3236, -0.7445]
-    assert table["phase_m"].tolist() == [0.0009, -0.0012, -0.0006]
-    assert table["weight"].to_numpy() == pytest.approx([0.1, 0.1, 0.25])  # 2 (1 + 4), 2 (1 + 1)
-    # integers in the second epoch; there one ambiguity is none
-    assert table["fixed"].tolist() == [False, True, False]
+    # weights of 2 (1 + 4) and 2 (1 + 1); integers in the second epoch, where one ambiguity is none
+    expected = numbers("""
+        second group code_m phase_m weight fixed
+        291606  G1  -0.5539  0.0009  0.10  False
+        291607  G1   0.3236 -0.0012  0.10  True
+        291607  G2  -0.7445 -0.0006  0.25  False
+    """)
+    found = table[[*expected.columns[1:]]].reset_index(drop=True)
+    pd.testing.assert_frame_equal(found, expected.iloc[:, 1:])
+    assert (table["t_gps_s"] - 2157 * 604800 + 1e9).tolist() == expected["second"].tolist()

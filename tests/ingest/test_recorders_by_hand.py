@@ -8,6 +8,7 @@ import pandas as pd
 import pytest
 from numpy.testing import assert_allclose
 
+from tests.ingest.writers import numbers
 from thalweg.core import gps_from_week
 from thalweg.ingest import NAVIGATION_INITIALISED, IntegrityReport
 from thalweg.ingest.recorders.ardupilot import (
@@ -34,60 +35,67 @@ def report() -> IntegrityReport:
 
 
 def test_the_nearest_fix_and_the_nearest_row_count():
-    place = pd.DataFrame({"t_s": [0.0, 1.0, 4.0], "fix": ["fixed", "single", "float"]})
+    place = numbers("t_s fix\n 0.0 fixed\n 1.0 single\n 4.0 float")
     found = _nearest(place, np.array([-9.0, 0.4, 0.6, 2.4, 2.6, 9.0]))
     assert found.tolist() == ["fixed", "fixed", "3d", "3d", "float", "float"]
     assert _nearest(place[:1], np.array([-9.0, 9.0])).tolist() == ["fixed", "fixed"]
     assert _nearest(place[:0], np.array([1.0])).tolist() == ["none"]
     assert _nearest(place[["t_s"]], np.array([1.0])).tolist() == ["none"]
-    other = pd.DataFrame({"t_s": [2.0, 0.9], "v": [7.0, 8.0], "fix": ["x", "y"]})
+    other = numbers("t_s v fix\n 2.0 7.0 x\n 0.9 8.0 y")
     both = _joined(place, other, other[:0])
     assert both["v"].tolist() == [8.0, 8.0, 7.0]
     assert both["fix"].tolist() == ["fixed", "single", "float"]  # its own stay
 
 
 def test_places_without_a_fix_and_of_damage_are_none():
-    lat = [51.0, 0.0, 0.0, 5.0, 90.1, -90.0, 51.0, 51.0]
-    lon = [13.0, 0.0, 5.0, 0.0, 13.0, 180.0, 180.1, -180.0]
-    table = pd.DataFrame({"lat_deg": lat, "lon_deg": lon})
-    expected = [True, False, True, True, False, True, False, True]
-    assert _on_earth(table).tolist() == expected
-    rows = pd.DataFrame(index=range(8))
-    status = [2, 3, 4, 5, 6, 6, 6, 1]
-    found = _fixes(rows, {**table, "status": status, "horizontal_m": [0.5, 1, 1, 0, 1, -1, 1, 1]})
+    table = numbers("""
+        lat_deg lon_deg  there status horizontal_m
+         51.0     13.0    True    2   0.5
+          0.0      0.0   False    3   1.0
+          0.0      5.0    True    4   1.0
+          5.0      0.0    True    5   0.0
+         90.1     13.0   False    6   1.0
+        -90.0    180.0    True    6  -1.0
+         51.0    180.1   False    6   1.0
+         51.0   -180.0    True    1   1.0
+    """)
+    assert _on_earth(table).tolist() == table["there"].tolist()
+    found = _fixes(pd.DataFrame(index=range(8)), {**table.drop(columns="there")})
     assert found["fix"].tolist() == ["2d", "dgnss", "float", "fixed"]
     expected = [0.5 / math.sqrt(2), 1 / math.sqrt(2), np.nan, np.nan]
     assert_allclose(found["sigma_east_m"], expected)
     assert_allclose(found["sigma_north_m"], expected)
-    pings = pd.DataFrame({"t_s": [1.0, 2.0, 3.0], "depth_m": [2.0, np.nan, 3.0], "sentence": "DPTH"})
+    pings = numbers("t_s depth_m sentence\n 1.0 2.0 DPTH\n 2.0 nan DPTH\n 3.0 3.0 DPTH")
     assert _depths(pings, report())[["depth_m", "line"]].to_numpy().tolist() == [[2.0, 1.0], [3.0, 2.0]]
     assert len(_depths(pings[["t_s"]], report())) == 0
 
 
 def test_states_have_the_place_and_the_sigmas_of_their_time():
-    attitude = pd.DataFrame(
-        {"t_s": [0.5, 1.0, 3.0], "roll_rad": [0.1, 0.2, 0.3], "yaw_rad": [-0.5, 7.0, 0.0]}
-    )
-    place = pd.DataFrame(
-        {
-            "t_s": [0.0, 1.0, 2.0], "lat_deg": [51.0, 51.2, np.nan], "lon_deg": [13.0, 13.4, 13.8],
-            "alt_m": [100.0, 102.0, 104.0], "sigma_up_m": [0.1, 0.3, 0.5],
-            "sigma_tilt_rad": [0.02, 0.04, 0.06],
-            "sigma_heading_rad": [0.1, 0.2, 0.3], "fix": ["single", "fixed", "fixed"],
-        }
-    )  # fmt: skip
+    attitude = numbers("""
+        t_s roll_rad yaw_rad
+        0.5   0.1     -0.5
+        1.0   0.2      7.0
+        3.0   0.3      0.0
+    """)
+    place = numbers("""
+        t_s lat_deg lon_deg alt_m sigma_up_m sigma_tilt_rad sigma_heading_rad  fix
+        0.0  51.0    13.0   100.0    0.1         0.02             0.1         single
+        1.0  51.2    13.4   102.0    0.3         0.04             0.2         fixed
+        2.0   nan    13.8   104.0    0.5         0.06             0.3         fixed
+    """)
     found = _states(attitude, place, 46.5, 1000.0)
-    expected = {
-        "t_gps_s": [1000.5, 1001.0, 1003.0], "t_device_s": [0.5, 1.0, 3.0], "lat_deg": [51.1, 51.2, np.nan],
-        "lon_deg": [13.2, 13.4, np.nan], "h_ell_m": [147.5, 148.5, np.nan], "roll_rad": [0.1, 0.2, 0.3],
-        "heading_rad": [2 * np.pi - 0.5, 7.0 - 2 * np.pi, 0.0], "sigma_up_m": [0.2, 0.3, np.nan],
-        "sigma_roll_rad": [0.03 / math.sqrt(2), 0.04 / math.sqrt(2), np.nan],
-        "sigma_pitch_rad": [0.03 / math.sqrt(2), 0.04 / math.sqrt(2), np.nan],
-        "sigma_heading_rad": [0.15, 0.2, np.nan], "v_east_mps": [np.nan] * 3,
-        "filter_status": [NAVIGATION_INITIALISED, NAVIGATION_INITIALISED, 0], "system_status": [0, 0, 0],
-    }  # fmt: skip
-    for name, values in expected.items():
-        assert_allclose(found[name].astype(float), values, rtol=1e-6, err_msg=name)
+    expected = numbers("""
+    t_gps_s t_device_s lat_deg lon_deg h_ell_m roll_rad sigma_up_m sigma_heading_rad v_east_mps system_status
+     1000.5        0.5    51.1    13.2   147.5      0.1        0.2              0.15        nan             0
+     1001.0        1.0    51.2    13.4   148.5      0.2        0.3               0.2        nan             0
+     1003.0        3.0     nan     nan     nan      0.3        nan               nan        nan             0
+    """)
+    tilt = np.array([0.03, 0.04, np.nan]) / math.sqrt(2)
+    expected = expected.assign(
+        heading_rad=[2 * np.pi - 0.5, 7.0 - 2 * np.pi, 0.0], sigma_roll_rad=tilt, sigma_pitch_rad=tilt,
+        filter_status=[NAVIGATION_INITIALISED, NAVIGATION_INITIALISED, 0],
+    )  # fmt: skip
+    pd.testing.assert_frame_equal(found[[*expected]], expected, check_dtype=False, rtol=1e-6)
     assert found["fix"].tolist() == ["fixed", "fixed", "fixed"]  # of two equally near the later one
 
 
@@ -105,11 +113,9 @@ def receiver(number: int, status: list[int], lead_s: float = 0.0) -> pd.DataFram
 def test_of_two_receivers_the_one_with_the_better_fixes_counts():
     log = {
         "GPS": pd.concat([receiver(0, [3, 3, 3]), receiver(1, [6, 6, 3])]),
-        "GPA": pd.DataFrame(
-            {"t_s": [0.0, 0.0], "I": [0, 1], "HAcc": [9.0, 0.02], "VAcc": [9.0, 0.03], "Und": [-40, -46.5]}
-        ),
+        "GPA": numbers("t_s I HAcc VAcc Und\n 0.0 0 9.0 9.0 -40\n 0.0 1 0.02 0.03 -46.5"),
         "PARM": pd.DataFrame({"Name": [b"SPEED", b"GPS_DELAY_MS", b"X"], "Value": [7.0, 80.0, 9.0]}),
-    }  # fmt: skip
+    }
     told = report()
     fixes, offset_s = _dataflash_fixes(log, told)
     assert fixes["lat_deg"].tolist() == [52.0] * 3
@@ -141,12 +147,13 @@ def test_of_two_receivers_the_one_with_the_better_fixes_counts():
 
 def test_the_filter_tells_sigmas_by_its_covariance():
     """Four times the trace of the quaternion's part is that of all angles."""
-    names = {f"V0{k}": v for k, v in enumerate([1e-4, 1e-4, 1e-4, 2e-4, 0, 0, 0, 0.04, 0.09, 0.25])}
     log = {
-        "XKV1": pd.DataFrame(
-            [{"t_s": 1.0, "C": 0, **names}, {"t_s": 1.0, "C": 1, **dict.fromkeys(names, 1.0)}]
-        ),
-        "XKF4": pd.DataFrame({"t_s": [1.1, 1.1], "C": [0, 1], "errRP": [0.04, 9.0]}),
+        "XKV1": numbers("""
+            t_s C  V00  V01  V02  V03 V04 V05 V06  V07  V08  V09
+            1.0 0 1e-4 1e-4 1e-4 2e-4   0   0   0 0.04 0.09 0.25
+            1.0 1    1    1    1    1   1   1   1    1    1    1
+        """),
+        "XKF4": numbers("t_s C errRP\n 1.1 0 0.04\n 1.1 1 9.0"),
     }
     found = _filter_sigmas(log, 0)
     values = found[["sigma_north_m", "sigma_east_m", "sigma_up_m", "sigma_tilt_rad"]].iloc[0].tolist()
@@ -157,27 +164,22 @@ def test_the_filter_tells_sigmas_by_its_covariance():
 
 
 def dataflash(**more: pd.DataFrame) -> dict[str, pd.DataFrame]:
-    t = [0.0, 1.0]
     return {
         "GPS": receiver(0, [3, 3]),
-        "GPA": pd.DataFrame({"t_s": [0.0], "I": [0], "HAcc": [1.0], "VAcc": [2.0]}),
-        "ATT": pd.DataFrame({"t_s": t, "Roll": [1.0, 2.0], "Pitch": [3.0, 4.0], "Yaw": [90.0, 180.0]}),
-        "POS": pd.DataFrame({"t_s": t, "Lat": [51.0, 0.0], "Lng": [13.0, 0.0], "Alt": [100.0, 0.0]}),
-        "XKF1": pd.DataFrame(
-            {"t_s": t + t, "C": [0, 0, 1, 1], "VN": [1, 1, 4, 4], "VE": [2, 2, 5, 5], "VD": [3, 3, 6, 6]}
-        ),
-        "XKF4": pd.DataFrame({"t_s": t, "PI": [1, 1], "C": [1, 1]}),
-        "MSG": pd.DataFrame({"t_s": t, "Message": [b"hello", b"ArduRover V4.2\0"]}),
+        "GPA": numbers("t_s I HAcc VAcc\n 0.0 0 1.0 2.0"),
+        "ATT": numbers("t_s Roll Pitch Yaw\n 0.0 1.0 3.0 90.0\n 1.0 2.0 4.0 180.0"),
+        "POS": numbers("t_s Lat Lng Alt\n 0.0 51.0 13.0 100.0\n 1.0 0.0 0.0 0.0"),
+        "XKF1": numbers("t_s C VN VE VD\n 0.0 0 1 2 3\n 1.0 0 1 2 3\n 0.0 1 4 5 6\n 1.0 1 4 5 6"),
+        "XKF4": numbers("t_s PI C\n 0.0 1 1\n 1.0 1 1"),
+        "MSG": pd.DataFrame({"t_s": [0.0, 1.0], "Message": [b"hello", b"ArduRover V4.2\0"]}),
         **more,
-    }  # fmt: skip
+    }
 
 
 def test_a_dataflash_log_by_hand():
     """Attitude in degrees, places that are some, speeds of the filter in use, sigmas of the receiver."""
     told = report()
-    ranges = pd.DataFrame(
-        {"t_s": [0.0, 1.0, 2.0], "Dist": [1.0, 2.0, 3.0], "Orient": [25, 0, 25], "Stat": [4, 4, 1]}
-    )
+    ranges = numbers("t_s Dist Orient Stat\n 0.0 1.0 25 4\n 1.0 2.0 0 4\n 2.0 3.0 25 1")
     attitude, place, fixes, depths, _ = _of_dataflash(dataflash(RFND=ranges), told)
     assert_allclose(attitude["roll_rad"], np.deg2rad([1.0, 2.0]))
     assert_allclose(attitude["pitch_rad"], np.deg2rad([3.0, 4.0]))
@@ -192,8 +194,7 @@ def test_a_dataflash_log_by_hand():
     # without orientations all count, and the filter's depths go first
     bare = ranges.drop(columns=["Orient", "Stat"])
     assert _of_dataflash(dataflash(RFND=bare), told)[3]["depth_m"].tolist() == [1.0, 2.0, 3.0]
-    depth = pd.DataFrame({"t_s": [0.0], "Depth": [7.0]})
-    found = _of_dataflash(dataflash(RFND=bare, DPTH=depth), told)[3]
+    found = _of_dataflash(dataflash(RFND=bare, DPTH=numbers("t_s Depth\n 0.0 7.0")), told)[3]
     assert found[["depth_m", "sentence"]].to_numpy().tolist() == [[7.0, "DPTH"]]
     assert len(_of_dataflash({}, report())[3]) == 0
 
@@ -212,9 +213,8 @@ def gga(
 
 def test_fixes_beside_an_ensemble():
     found = _gga(gga(lag_s=0.25))
-    assert found == {
-        "lat_deg": 51.0, "lon_deg": 13.0, "quality": 4.0, "n_sats": 15.0, "day_s": 43_230.5, "lag_s": 0.25
-    }  # fmt: skip
+    expected = "lat_deg lon_deg quality n_sats day_s lag_s\n 51.0 13.0 4.0 15.0 43230.5 0.25"
+    assert found == numbers(expected).iloc[0].to_dict()
     other = _gga(gga(north=b"S", east=b"W"))
     assert (other["lat_deg"], other["lon_deg"]) == (-51.0, -13.0)
     assert _gga(gga(lat=0.0))["lon_deg"] == 13.0
@@ -243,15 +243,15 @@ def test_an_ensemble_by_hand():
         0x2022 + (4 << 16): [gga(lag_s=-0.4, lat=52.0), gga(lag_s=0.1), gga(lag_s=0.0, quality=0)],
     }  # fmt: skip
     row = _ensemble(blocks)
-    expected = {
-        "beam_angle_deg": 30.0, "alignment_deg": 45.0, "variation_deg": -1.5,
-        "heading_deg": 90.5, "pitch_deg": -1.2, "roll_deg": 2.5,
-        "transducer_m": 0.3, "vertical_m": 12.345, "sounder_m": 9.5, "beam0_m": 10.0, "beam1_m": 666.36,
-        "beam2_m": 12.0, "beam3_m": 1323.72, "lat_deg": 51.0, "lag_s": 0.1,
-        "rtc_unix_s": pd.Timestamp("2024-05-17T12:00:30.5Z").timestamp(),
-    }  # fmt: skip
-    for name, value in expected.items():
-        assert row[name] == pytest.approx(value), name
+    expected = numbers("""
+        beam_angle_deg alignment_deg variation_deg heading_deg pitch_deg roll_deg transducer_m vertical_m
+             30.0           45.0          -1.5         90.5      -1.2       2.5        0.3       12.345
+    """)
+    expected = expected.assign(
+        sounder_m=9.5, beam0_m=10.0, beam1_m=666.36, beam2_m=12.0, beam3_m=1323.72, lat_deg=51.0, lag_s=0.1,
+        rtc_unix_s=pd.Timestamp("2024-05-17T12:00:30.5Z").timestamp(),
+    )  # fmt: skip
+    assert {name: row[name] for name in expected} == pytest.approx(expected.iloc[0].to_dict())
     bare = _ensemble({0x0000: [bytes(fixed)]})
     assert math.isnan(bare["lat_deg"])
     assert math.isnan(bare["rtc_unix_s"])
@@ -279,12 +279,10 @@ def test_the_instruments_clock_is_set_by_the_time_of_day(ahead_s, words):
 
 def test_ends_of_slanted_beams_by_hand():
     """45 degrees would be as far aside as deep; at heading 90 forward is east, and port north."""
-    table = pd.DataFrame(
-        {
-            "beam_angle_deg": [45.0], "heading_deg": [80.0], "variation_deg": [10.0], "pitch_deg": [0.0],
-            "roll_deg": [0.0], "lat_deg": [60.0], "lon_deg": [13.0],
-        }
-    )  # fmt: skip
+    table = numbers("""
+        beam_angle_deg heading_deg variation_deg pitch_deg roll_deg lat_deg lon_deg
+             45.0          80.0        10.0         0.0       0.0     60.0    13.0
+    """)
     found = _slanted(table, np.array([[10.0, 10.0, 10.0, 0.0]]), np.array([1.7e9]))
     degree = math.pi / 180 * 6_371_000.0
     assert_allclose((found["latitude"] - 60.0) * degree, [10.0, -10.0, 0.0], atol=1e-5)
@@ -292,10 +290,9 @@ def test_ends_of_slanted_beams_by_hand():
     assert_allclose(found["depth_m"], 10.0)
     assert set(found["time"]) == {"2023-11-14T22:13:20.000Z"}
     # pitched up by 45 degrees about the beam forward: it looks along the surface
-    up = _slanted(table.assign(pitch_deg=45.0), np.array([[0.0, 0.0, 10.0, 0.0]]), np.array([1.7e9]))
+    ahead = np.array([[0.0, 0.0, 10.0, 0.0]])
+    up = _slanted(table.assign(pitch_deg=45.0), ahead, np.array([1.7e9]))
     assert up["depth_m"].iloc[0] == pytest.approx(0.0, abs=1e-9)
-    missing = _slanted(
-        table.assign(variation_deg=np.nan), np.array([[0.0, 0.0, 10.0, 0.0]]), np.array([1.7e9])
-    )
+    missing = _slanted(table.assign(variation_deg=np.nan), ahead, np.array([1.7e9]))
     east = (missing["longitude"].iloc[0] - 13.0) * degree / 2
     assert east == pytest.approx(10.0 * math.sin(math.radians(80.0)), abs=1e-5)

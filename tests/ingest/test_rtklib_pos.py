@@ -11,8 +11,10 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from pyproj import Transformer
 
+from tests.ingest.writers import noted, numbers
 from thalweg.core import InputError, gps_from_week, write_table
 from thalweg.ingest import GNSS_POSITION
+from thalweg.ingest.registry import choose_tracks
 from thalweg.ingest.tracks import read_pos
 
 HEAD = (
@@ -55,6 +57,12 @@ for name, options in variants.items():
 def write(path: Path, text: str) -> Path:
     path.write_text(text)
     return path
+
+
+@pytest.fixture
+def read(tmp_path):
+    """Reads a solution from its text."""
+    return lambda text: read_pos([write(tmp_path / "text.pos", text)])
 
 
 @pytest.fixture(scope="module")
@@ -104,7 +112,7 @@ def test_all_variants_of_one_solution_agree(variants, name):
         assert_array_equal(other[column], base[column])
     if name == "geodetic":
         assert other["h_ell_m"].isna().all()
-        assert any("geoid" in note for note in log.report.notes)
+        assert noted(log, "geoid")
         other = other.assign(h_ell_m=base["h_ell_m"])
     position, expected = (
         np.stack(TO_ECEF.transform(f["lon_deg"], f["lat_deg"], f["h_ell_m"])).T for f in (other, base)
@@ -122,11 +130,11 @@ def test_all_variants_of_one_solution_agree(variants, name):
     assert np.all(np.concatenate(difference) <= bound)
 
 
-def test_covariance_of_earth_centred_coordinates_is_rotated(tmp_path):
+def test_covariance_of_earth_centred_coordinates_is_rotated(read):
     head = "%  GPST x-ecef y-ecef z-ecef Q ns sdx(m) sdy(m) sdz(m) sdxy(m) sdyz(m) sdzx(m) age(s) ratio\n"
     # On the equator at longitude 90 deg: up is y, east is -x, north is z.
     line = "1948 499513.400 0.0 6378137.0 0.0 2 9 0.01 0.02 0.03 0.004 0.005 -0.006 1.0 2.0\n"
-    row = read_pos([write(tmp_path / "a.pos", head + line)]).positions.iloc[0]
+    row = read(head + line).positions.iloc[0]
     assert row["lat_deg"] == pytest.approx(0.0, abs=1e-12)
     assert row["lon_deg"] == pytest.approx(90.0)
     sigmas = row[["sigma_east_m", "sigma_up_m", "sigma_north_m"]].to_numpy(dtype=float)
@@ -144,52 +152,38 @@ def test_covariance_of_earth_centred_coordinates_is_rotated(tmp_path):
         ("%  GPST", "60.000", (1930, 0.0)),  # rounded up: no leap second
     ],
 )
-def test_leap_second_stamp(tmp_path, stamp, second, gps_week_second):
+def test_leap_second_stamp(read, stamp, second, gps_week_second):
     text = HEAD.replace("%  GPST", stamp) + LINE.replace(
         "2017/05/12 18:45:13.400", f"2016/12/31 23:59:{second}"
     )
-    t = read_pos([write(tmp_path / "a.pos", text)]).positions["t_gps_s"][0]
+    t = read(text).positions["t_gps_s"][0]
     # float64 resolves 30 ns here
     assert t == pytest.approx(float(gps_from_week(*gps_week_second)), abs=1e-7)
 
 
-def test_signs_of_degrees_minutes_seconds(tmp_path):
+def test_signs_of_degrees_minutes_seconds(read):
     head = HEAD.replace("latitude(deg) longitude(deg)", "latitude(d'\") longitude(d'\")")
     line = LINE.replace("50.000000000   13.000000000", "  -0 30 00.00000   -70 15 36.00000")
-    row = read_pos([write(tmp_path / "a.pos", head + line)]).positions.iloc[0]
+    row = read(head + line).positions.iloc[0]
     assert (row["lat_deg"], row["lon_deg"]) == pytest.approx((-0.5, -70.26))
 
 
-def test_all_qualities(tmp_path):
+def test_all_qualities(tmp_path, read):
     lines = [
         LINE.replace("18:45:13", f"18:45:{13 + q}").replace("   1  11", f"   {q}  11") for q in range(1, 8)
     ]
-    log = read_pos([write(tmp_path / "a.pos", HEAD + "".join(lines))])
+    log = read(HEAD + "".join(lines))
     expected = ["fixed", "float", "sbas", "dgnss", "single", "ppp", "dead_reckoning"]
     assert list(log.positions["fix"]) == expected
     write_table(tmp_path / "a.parquet", log.positions, GNSS_POSITION)
 
 
-def test_damaged_lines_are_counted_with_their_numbers(tmp_path):
-    damaged = [
-        LINE[:60] + "\n",
-        LINE.replace("50.0", "5x.0"),
-        LINE.replace("/05/", "/13/"),
-        "\x00\x01rubbish\n",
-    ]
-    damaged += [
-        LINE.replace("18:45", "25:45"),
-        LINE.replace("   1  11", "   9  11"),
-        LINE.replace("50.0", "150.0"),
-    ]
-    text = (
-        HEAD
-        + LINE
-        + "".join(damaged)
-        + LINE.replace("13.400", "13.600")
-        + LINE.replace("13.400", "13.800")[:90]
-    )
-    log = read_pos([write(tmp_path / "a.pos", text)])
+def test_damaged_lines_are_counted_with_their_numbers(read):
+    wrong = {"50.0": "5x.0", "/05/": "/13/", "18:45": "25:45", "   1  11": "   9  11", " 50.0": " 150.0"}
+    damaged = [LINE[:60] + "\n", "\x00\x01rubbish\n", *(LINE.replace(*each) for each in wrong.items())]
+    text = HEAD + LINE + "".join(damaged) + LINE.replace("13.400", "13.600")
+    text += LINE.replace("13.400", "13.800")[:90]
+    log = read(text)
     assert len(log.positions) == 2
     assert log.report.losses == {"damaged_lines": 8}
     assert "7, 8, 9, 10, 11, 12, 13, 15" in log.report.details["damaged_lines"].values()
@@ -208,10 +202,10 @@ def test_gaps_steps_back_and_several_files(tmp_path):
     assert "UTC" in log.report.lines()[3]
 
 
-def test_missing_header_is_said(tmp_path):
-    log = read_pos([write(tmp_path / "a.pos", LINE)])
+def test_missing_header_is_said(read):
+    log = read(LINE)
     assert log.positions["lat_deg"][0] == 50.0
-    assert any("taken as latitude" in note for note in log.report.notes)
+    assert noted(log, "taken as latitude")
 
 
 @pytest.mark.parametrize(
@@ -236,30 +230,27 @@ def test_missing_header_is_said(tmp_path):
         ),
     ],
 )
-def test_bad_input_has_a_message(tmp_path, text, fragment):
+def test_bad_input_has_a_message(read, text, fragment):
     with pytest.raises(InputError, match=fragment) as caught:
-        read_pos([write(tmp_path / "bad.pos", text)])
-    assert "bad.pos" in str(caught.value)
-
-
-def test_missing_file():
+        read(text)
+    assert "text.pos" in str(caught.value)
     with pytest.raises(InputError, match="file not found"):
         read_pos([Path("nowhere.pos")])
 
 
-def test_files_that_overlap_are_joined(tmp_path):
+def test_files_that_overlap_are_joined(tmp_path, read):
     def lines(first, last, lat="50.000000000"):
         return HEAD + "".join(
             LINE.replace("13.400", f"{k:02d}.000").replace("50.000000000", lat, 1) for k in range(first, last)
         )
 
     a, b = write(tmp_path / "a.pos", lines(0, 30)), write(tmp_path / "b.pos", lines(20, 50))
-    log, whole = read_pos([a, b]), read_pos([write(tmp_path / "whole.pos", lines(0, 50))])
+    log, whole = read_pos([a, b]), read(lines(0, 50))
     pd.testing.assert_frame_equal(log.positions, whole.positions)
     assert log.report.clean
     assert log.report.counts["repeated_positions_dropped"] == 10
     assert log.report.counts["positions"] == log.report.counts["fix_fixed"] == 50
-    assert any("10 positions that occur in two of them" in note for note in log.report.notes)
+    assert noted(log, "10 positions that occur in two of them")
     assert "repeated_positions_dropped" not in whole.report.counts
     # the same times with other positions are two solutions: nothing is dropped, and it is told
     other = read_pos([a, write(tmp_path / "c.pos", lines(20, 50, "50.000000001"))])
@@ -267,39 +258,34 @@ def test_files_that_overlap_are_joined(tmp_path):
     assert other.report.losses == {"time_steps_back": 1}
 
 
-def test_every_column_of_the_positions_by_hand(tmp_path):
+def test_every_column_of_the_positions_by_hand(tmp_path, read):
     """From a line of RTKLIB to the file, read with pyarrow alone: names, units and numbers."""
-    positions = read_pos([write(tmp_path / "one.pos", HEAD + LINE)]).positions
+    positions = read(HEAD + LINE).positions
     write_table(tmp_path / "positions.parquet", positions, GNSS_POSITION)
     table = pq.read_table(tmp_path / "positions.parquet")
-    expected = {
-        # GPS week 1948 begins on 7 May 2017; 5 days, 18:45:13.4; LAS takes 1e9 off
-        "t_gps_s": (1948 * 604800 + 5 * 86400 + 67513.4 - 1e9, "s"),
-        "lat_deg": (50.0, "deg"),
-        "lon_deg": (13.0, "deg"),
-        "h_ell_m": (200.0, "m"),
-        "fix": ("fixed", "1"),
-        "n_sats": (11, "1"),
-        "sigma_east_m": (0.002, "m"),
-        "sigma_north_m": (0.003, "m"),
-        "sigma_up_m": (0.006, "m"),
-        # RTKLIB writes roots of covariances with the covariance's sign, and -1 mm for north-east
-        "cov_en_m2": (-1e-6, "m^2"),
-        "cov_eu_m2": (2.25e-6, "m^2"),
-        "cov_nu_m2": (-6.25e-6, "m^2"),
-        "age_s": (0.4, "s"),
-        "ratio": (12.3, "1"),
-    }
+    # RTKLIB writes roots of covariances with the covariance's sign, and -1 mm for north-east
+    expected = numbers("""
+        name          value   unit
+        lat_deg        50.0    deg
+        lon_deg        13.0    deg
+        h_ell_m       200.0    m
+        n_sats         11      1
+        sigma_east_m    0.002  m
+        sigma_north_m   0.003  m
+        sigma_up_m      0.006  m
+        cov_en_m2   -1e-6      m^2
+        cov_eu_m2    2.25e-6   m^2
+        cov_nu_m2   -6.25e-6   m^2
+        age_s           0.4    s
+        ratio          12.3    1
+    """).set_index("name")
     found = table.to_pylist()[0]
-    assert {name: value for name, value in found.items() if name in expected} == {
-        name: value if isinstance(value, str) else pytest.approx(value)
-        for name, (value, _) in expected.items()
-    }
+    assert found.pop("fix") == "fixed"
+    # GPS week 1948 begins on 7 May 2017; 5 days, 18:45:13.4; LAS takes 1e9 off
+    assert found.pop("t_gps_s") == pytest.approx(1948 * 604800 + 5 * 86400 + 67513.4 - 1e9)
+    assert found == pytest.approx(expected["value"].to_dict())
     units = {field.name: field.metadata[b"unit"].decode() for field in table.schema}
-    assert {name: unit for name, unit in units.items() if name in expected} == {
-        name: unit for name, (_, unit) in expected.items()
-    }
-    assert set(found) == set(expected)
+    assert units == {"t_gps_s": "s", "fix": "1"} | expected["unit"].to_dict()
 
 
 def epochs(first: float, n: int, scale: str = "GPST", step_s: float = 1.0) -> str:
@@ -312,22 +298,22 @@ def epochs(first: float, n: int, scale: str = "GPST", step_s: float = 1.0) -> st
     return "".join(lines)
 
 
-def test_each_solution_of_a_joined_file_keeps_its_own_scale_and_columns(tmp_path):
+def test_each_solution_of_a_joined_file_keeps_its_own_scale_and_columns(read):
     velocity = epochs(180, 5).replace("ratio\n", "ratio   vn(m/s)   ve(m/s)   vu(m/s)\n")
     velocity = velocity.replace("12.3\n", "12.3   0.1   0.2   0.3\n")
     text = epochs(18, 60) + epochs(120, 60, "UTC") + velocity
-    log = read_pos([write(tmp_path / "joined.pos", text)])
+    log = read(text)
     t = log.positions["t_gps_s"].to_numpy()
     # 10:02:00 UTC is 18 s behind 10:02:00 GPST; the last one is in GPST again
     assert t[60] - t[0] == 120.0
     assert t[120] - t[0] == 162.0
     assert log.report.losses == {"time_steps_back": 1}
-    assert "GPS from line 6 on, UTC from line 71 on" in " ".join(log.report.notes)
+    assert noted(log, "GPS from line 6 on, UTC from line 71 on")
     remark = epochs(0, 3) + "% a remark of somebody\n" + epochs(3, 3)[len(HEAD) :]
-    assert len(read_pos([write(tmp_path / "remark.pos", remark)]).positions) == 6
+    assert len(read(remark).positions) == 6
 
 
-def test_each_baseline_keeps_the_base_of_its_own_header(tmp_path):
+def test_each_baseline_keeps_the_base_of_its_own_header(read):
     head = HEAD.replace(
         "latitude(deg) longitude(deg)  height(m)", "e-baseline(m) n-baseline(m) u-baseline(m)"
     )
@@ -335,7 +321,7 @@ def test_each_baseline_keeps_the_base_of_its_own_header(tmp_path):
     both = (
         head + line + head.replace("50.000000000   13", "51.000000000   14") + line.replace(":13.4", ":14.4")
     )
-    table = read_pos([write(tmp_path / "enu.pos", both)]).positions
+    table = read(both).positions
     assert_allclose(table["lat_deg"], [50.0, 51.0], atol=1e-9)
 
 
@@ -353,6 +339,7 @@ def test_times_of_events_are_no_part_of_the_track(tmp_path, name):
     log = read_pos([track, events])
     assert len(log.positions) == 60
     assert log.report.losses == {"event_marks": 5}
+    assert choose_tracks([track, events])[0] == [track]
     # positions between the epochs that no line leads to are a second receiver's, and stay
     other = write(tmp_path / "second.pos", events.read_text().replace("13.000000000", "13.000000300"))
     assert len(read_pos([track, other]).positions) == 65
@@ -370,13 +357,13 @@ def test_times_of_events_are_no_part_of_the_track(tmp_path, name):
         ("latitude(deg) longitude(deg)", "latitude(rad) longitude(rad)", r"latitude\(rad\)"),
     ],
 )
-def test_other_units_and_orders_are_refused(tmp_path, usual, stated, words):
+def test_other_units_and_orders_are_refused(read, usual, stated, words):
     with pytest.raises(InputError, match=words):
-        read_pos([write(tmp_path / "a.pos", HEAD.replace(usual, stated) + LINE)])
+        read(HEAD.replace(usual, stated) + LINE)
 
 
-def test_other_datums_and_heights_are_told(tmp_path):
-    log = read_pos([write(tmp_path / "a.pos", HEAD.replace("WGS84/ell", "Tokyo/ell") + LINE)])
-    assert any("states the datum Tokyo" in note for note in log.report.notes)
-    log = read_pos([write(tmp_path / "b.pos", HEAD.replace("/ellipsoidal", "/orthometric") + LINE)])
+def test_other_datums_and_heights_are_told(read):
+    log = read(HEAD.replace("WGS84/ell", "Tokyo/ell") + LINE)
+    assert noted(log, "states the datum Tokyo")
+    log = read(HEAD.replace("/ellipsoidal", "/orthometric") + LINE)
     assert log.positions["h_ell_m"].isna().all()

@@ -8,8 +8,9 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from pyproj import Geod
 
+from tests.ingest.writers import noted
 from thalweg.core import ArrayF, InputError, ThalwegError, gps_from_week, write_table
-from thalweg.ingest import INS_STATE
+from thalweg.ingest import INS_STATE, PoseLog
 from thalweg.ingest.tracks import read_sbet
 
 WEEK = 1948
@@ -47,8 +48,19 @@ def write(path: Path, array: ArrayF | bytes) -> Path:
     return path
 
 
-def test_states(tmp_path):
-    log = read_sbet([write(tmp_path / "a.out", records())], WEEK)
+@pytest.fixture
+def read(tmp_path):
+    """Reads a trajectory, and the standard deviations beside it."""
+
+    def made(array: ArrayF | bytes, week: int | None = WEEK, *sigmas: ArrayF) -> PoseLog:
+        beside = [write(tmp_path / "smrmsg.out", each) for each in sigmas]
+        return read_sbet([write(tmp_path / "one.out", array)], week, beside)
+
+    return made
+
+
+def test_states(tmp_path, read):
+    log = read(records())
     s = log.states
     assert_array_equal(s["t_gps_s"], gps_from_week(WEEK, records()[:, 0]))
     assert_allclose(s["lat_deg"], np.rad2deg(records()[:, 1]), rtol=1e-15)
@@ -71,22 +83,22 @@ def test_states(tmp_path):
         ((SPEED * np.sin(HEADING), SPEED * np.cos(HEADING), 0.3), "east, north, up"),
     ],
 )
-def test_velocities_of_other_makers(tmp_path, velocity, words):
+def test_velocities_of_other_makers(read, velocity, words):
     a = records()
     a[:, 9:11] = HEADING, 0.0
     a[:, 4:7] = velocity
-    log = read_sbet([write(tmp_path / "a.out", a)], WEEK)
+    log = read(a)
     assert log.report.details["velocity"].startswith(words)
     assert_allclose(log.states["v_east_mps"], SPEED * np.sin(HEADING))
     assert_allclose(log.states["v_down_mps"], -0.3)
 
 
-def test_velocities_that_contradict_the_positions_are_left_empty(tmp_path):
+def test_velocities_that_contradict_the_positions_are_left_empty(read):
     a = records()
     a[:, 4:7] = 0.0
-    log = read_sbet([write(tmp_path / "a.out", a)], WEEK)
+    log = read(a)
     assert log.states["v_north_mps"].isna().all()
-    assert any("contradict" in note for note in log.report.notes)
+    assert noted(log, "contradict")
 
 
 def test_smrmsg(tmp_path):
@@ -103,16 +115,16 @@ def test_smrmsg(tmp_path):
 @pytest.mark.parametrize(
     ("factor", "words"), [(1.0, ""), (1 / 60, "finer than any INS"), (0.0, "0 throughout")]
 )
-def test_smrmsg_of_other_units_or_zeros_is_told(tmp_path, factor, words):
+def test_smrmsg_of_other_units_or_zeros_is_told(read, factor, words):
     companion = smrmsg()
     companion[:, 7:] *= factor
-    log = read_sbet([write(tmp_path / "a.out", records())], WEEK, [write(tmp_path / "b.out", companion)])
+    log = read(records(), WEEK, companion)
     assert any("smrmsg states" in note and words in note for note in log.report.notes) == bool(words)
     assert log.states["sigma_roll_rad"].isna().all() == (factor == 0.0)
 
 
-def test_week_rollover(tmp_path):
-    log = read_sbet([write(tmp_path / "a.out", records(start_s=604798.0))], WEEK)
+def test_week_rollover(read):
+    log = read(records(start_s=604798.0))
     # float64 resolves 30 ns at this date
     assert_allclose(np.diff(log.states["t_gps_s"]), 0.02, atol=1e-7)
     assert log.report.t_last_s == pytest.approx(float(gps_from_week(WEEK + 1, 1.98)), abs=1e-7)
@@ -120,27 +132,25 @@ def test_week_rollover(tmp_path):
 
 
 @pytest.mark.parametrize("zero", [gps_from_week(WEEK, 0.0), gps_from_week(WEEK, 0.0) + 1e9])
-def test_times_with_their_date_need_no_week(tmp_path, zero):
+def test_times_with_their_date_need_no_week(read, zero):
     """GPS seconds since 1980, and the same less 1e9 as point clouds have them."""
     dated, sigmas = records(), smrmsg()
     dated[:, 0] += zero
     sigmas[:, 0] += zero
-    log = read_sbet([write(tmp_path / "a.out", dated)], None, [write(tmp_path / "s.out", sigmas)])
+    log = read(dated, None, sigmas)
     assert_allclose(log.states["t_gps_s"], gps_from_week(WEEK, records()[:, 0]), atol=1e-6)
     assert (log.states["sigma_north_m"] == 0.01).all()
-    assert any("hold the date" in note for note in log.report.notes)
+    assert noted(log, "hold the date")
 
 
 @pytest.mark.parametrize(("last_s", "asked"), [(86_400.0, True), (86_401.0, False)])
-def test_times_of_the_first_day_of_a_week_may_be_those_of_any_day(tmp_path, last_s, asked):
+def test_times_of_the_first_day_of_a_week_may_be_those_of_any_day(read, last_s, asked):
     first = records()
     first[:, 0] += last_s - first[-1, 0]
-    log = read_sbet([write(tmp_path / "a.out", first)], WEEK)
-    assert any("do they count the day" in note for note in log.report.notes) == asked
+    log = read(first)
+    assert noted(log, "do they count the day") == asked
     first[:, 0] += gps_from_week(WEEK, 0.0)
-    assert not any(
-        "do they" in note for note in read_sbet([write(tmp_path / "b.out", first)], None).report.notes
-    )
+    assert not noted(read(first, None), "do they")
 
 
 def test_utc_seconds(tmp_path):
@@ -150,34 +160,30 @@ def test_utc_seconds(tmp_path):
     assert_allclose(utc - gps, 18.0, atol=1e-7)
 
 
-def test_cut_file_keeps_whole_records(tmp_path):
+def test_cut_file_keeps_whole_records(read):
     raw = records(10).astype("<f8").tobytes()
-    log = read_sbet([write(tmp_path / "a.out", raw[:-17])], WEEK)
+    log = read(raw[:-17])
     assert len(log.states) == 9
     assert log.report.losses == {"bytes_of_a_cut_record": 136 - 17}
 
 
-def test_damaged_records_are_dropped_and_counted(tmp_path):
+def test_damaged_records_are_dropped_and_counted(read):
     a = records(100)
     a[3, 0] = np.nan
     a[5, 1] = 3.0
     a[6, 9] = 1e30
     a[7, 16] = np.inf
-    log = read_sbet([write(tmp_path / "a.out", a)], WEEK)
+    log = read(a)
     assert len(log.states) == 96
-    assert log.report.losses == {
-        "impossible_times": 1,
-        "impossible_positions": 1,
-        "impossible_attitudes": 1,
-        "not_finite_or_huge": 1,
-    }
+    kinds = ("impossible_times", "impossible_positions", "impossible_attitudes", "not_finite_or_huge")
+    assert log.report.losses == dict.fromkeys(kinds, 1)
     assert [gap.lost for gap in log.report.gaps] == [1, 3]
 
 
-def test_big_endian_is_read_and_said(tmp_path):
-    log = read_sbet([write(tmp_path / "a.out", records().astype(">f8").tobytes())], WEEK)
+def test_big_endian_is_read_and_said(read):
+    log = read(records().astype(">f8").tobytes())
     assert log.states["h_ell_m"][0] == 123.4
-    assert any("big-endian" in note for note in log.report.notes)
+    assert noted(log, "big-endian")
 
 
 @pytest.mark.parametrize(
@@ -192,15 +198,12 @@ def test_big_endian_is_read_and_said(tmp_path):
         (np.full((5, 17), 100.0), WEEK, "no record has possible values"),
     ],
 )
-def test_bad_input_has_a_message(tmp_path, content, week, fragment):
+def test_bad_input_has_a_message(tmp_path, read, content, week, fragment):
     with pytest.raises(InputError, match=fragment) as caught:
-        read_sbet([write(tmp_path / "bad.out", content)], week)
-    assert "bad.out" in str(caught.value)
-
-
-def test_missing_file():
+        read(content, week)
+    assert "one.out" in str(caught.value)
     with pytest.raises(InputError, match="file not found"):
-        read_sbet([Path("nowhere.out")], WEEK)
+        read_sbet([tmp_path / "nowhere.out"], WEEK)
 
 
 def test_fuzz_sbet(tmp_path, fuzz):
@@ -217,19 +220,16 @@ def test_fuzz_sbet(tmp_path, fuzz):
     fuzz.check(read=0.2, troubled=0.5)
 
 
-def test_files_that_overlap_are_joined(tmp_path):
+def test_files_that_overlap_are_joined(tmp_path, read):
     whole, sigma = records(200), smrmsg(9)
     files = [write(tmp_path / "a.out", whole[:120]), write(tmp_path / "b.out", whole[90:])]
     sigmas = [write(tmp_path / "s.out", sigma[:6]), write(tmp_path / "t.out", sigma[4:])]
     log = read_sbet(files, WEEK, sigmas)
-    one = read_sbet([write(tmp_path / "c.out", whole)], WEEK, [write(tmp_path / "u.out", sigma)])
+    one = read(whole, WEEK, sigma)
     pd.testing.assert_frame_equal(log.states, one.states)
     assert log.report.clean
-    assert log.report.counts == {
-        "records": 200,
-        "repeated_records_dropped": 30,
-        "repeated_smrmsg_records_dropped": 2,
-    }
+    repeated = {"repeated_records_dropped": 30, "repeated_smrmsg_records_dropped": 2}
+    assert log.report.counts == {"records": 200, **repeated}
     assert one.report.counts == {"records": 200}
     other = whole[90:].copy()
     other[:, 3] += 0.001

@@ -1,8 +1,11 @@
 """Clocks in numbers: jitter, offset and drift with sigma, time without GPS, stamps that cannot be."""
 
+import datetime as dt
+
 import numpy as np
 import pytest
 
+from tests.ingest.writers import nmea
 from thalweg.core import LocalFrame, gps_from_unix
 from thalweg.ingest import (
     StreamTiming,
@@ -97,8 +100,6 @@ def test_times_without_gps_are_placed_beside_their_neighbours():
         assert [(a - T0, b - T0) for a, b in timing.unsynchronised] == spans
         assert timing.unsynchronised_s == total
 
-    # reports of earlier versions have no clock
-
 
 def test_an_ins_that_learns_utc_late_says_when_and_by_how_much(tmp_path):
     config = TwinConfig.of_size("tiny", duration_s=5.0, effects={"ins_clock_late_s": 1.5})
@@ -115,22 +116,13 @@ def test_an_ins_that_learns_utc_late_says_when_and_by_how_much(tmp_path):
     assert report.timing.resolution_s == 1e-6
 
 
-def rmc(clock: str) -> str:
-    body = f"GPGGA,{clock},5103.000,N,01315.000,E,4,12,0.8,200.0,M,44.0,M,,"
-    total = 0
-    for letter in body:
-        total ^= ord(letter)
-    return f"${body}*{total:02X}"
-
-
-def test_the_logger_of_an_nmea_log_is_compared_with_its_sentences(tmp_path):
-    import datetime as dt
-
+def test_the_logger_of_an_nmea_log_is_compared_with_its_sentences(tmp_path, saved):
     day = dt.datetime(2021, 5, 12, tzinfo=dt.UTC).timestamp()
+    gga = "GPGGA,10{:02d}{:02d}.00,5103.000,N,01315.000,E,4,12,0.8,200.0,M,44.0,M,,"
     lines = [
-        f"{day + 36_000 + i * 1.00001 + 0.25:.6f} {rmc(f'10{i // 60:02d}{i % 60:02d}.00')}" for i in range(90)
+        f"{day + 36_000 + i * 1.00001 + 0.25:.6f} {nmea(gga.format(i // 60, i % 60))}" for i in range(90)
     ]
-    (tmp_path / "a.nmea").write_text("\n".join(lines) + "\n")
+    saved("a.nmea", "".join(lines))
     timing = read_nmea([tmp_path / "a.nmea"], date=dt.date(2021, 5, 12)).report.timing
     assert timing.clock == "host"
     # the middle of 90 s at 10 ppm: 0.25 s and 0.45 ms; Unix times in float64 resolve 0.2 us
@@ -151,12 +143,12 @@ POS = [
 @pytest.mark.parametrize(
     "stamp", ["2821/05/12 08:00:01.100", "1979/12/31 23:59:59.000", "2057/07/01 00:00:00.000"]
 )
-def test_positions_at_impossible_times_are_damaged_lines(tmp_path, stamp):
+def test_positions_at_impossible_times_are_damaged_lines(tmp_path, saved, stamp):
     """A flipped bit made 2021 into 2821, and the line passed for a position."""
     head, row = POS
     rows = [row.format(f"2021/05/12 08:00:0{i}.000") for i in range(4)]
     rows[2] = row.format(stamp)
-    (tmp_path / "a.pos").write_text("\n".join([head, *rows]) + "\n")
+    saved("a.pos", "\n".join([head, *rows]) + "\n")
     log = read_pos([tmp_path / "a.pos"])
     assert len(log.positions) == 3
     assert log.report.losses["damaged_lines"] == 1
@@ -173,25 +165,24 @@ def test_what_is_a_possible_time():
     assert float(gps_from_unix(unix("2021-05-12"))) > 0
 
 
-UNIX_S = 1_718_186_400  # 2024-06-12T10:00:00Z, week 2318, second 295218
+SCALES = """\
+1718186400 unix_s
+1718186400000 unix_ms
+1718186400000000 unix_us
+1718186400000000000 unix_ns
+402221618 adjusted_s
+1402221618 unix_s gps_s
+295218 week_s
+36000 week_s day_s
+5e7 adjusted_s
+5e15
+"""
+"""2024-06-12T10:00:00Z (or 2014 in the sixth row), other numbers, and the scales that they may be of."""
 
 
-@pytest.mark.parametrize(
-    ("first", "scales"),
-    [
-        (UNIX_S, ("unix_s",)),
-        (UNIX_S * 10**3, ("unix_ms",)),
-        (UNIX_S * 10**6, ("unix_us",)),
-        (UNIX_S * 10**9, ("unix_ns",)),
-        (2318 * 604_800 + 295_218 - 10**9, ("adjusted_s",)),
-        (2318 * 604_800 + 295_218, ("unix_s", "gps_s")),  # 2014 or 2024
-        (295_218, ("week_s",)),
-        (36_000, ("week_s", "day_s")),
-        (5e7, ("adjusted_s",)),
-        (5e15, ()),
-    ],
-)
-def test_scale_of_bare_numbers_by_their_size(first, scales):
+@pytest.mark.parametrize("case", SCALES.splitlines())
+def test_scale_of_bare_numbers_by_their_size(case):
+    first, scales = float(case.split()[0]), tuple(case.split()[1:])
     t = first + np.arange(50.0)
     assert tell_time_scale(np.append(t, [0.0, np.nan])) == scales
     if len(scales) == 1 and scales != ("week_s",) and first != 5e7:

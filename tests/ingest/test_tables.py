@@ -25,26 +25,30 @@ def write(folder: Path, text: str, encoding: str = "utf-8") -> Path:
     return path
 
 
+@pytest.fixture
+def read(tmp_path):
+    """Reads a table from its text."""
+    return lambda text, encoding="utf-8": read_text_table(write(tmp_path, text, encoding))
+
+
 # ---------------------------------------------------------------- units and values that stand for none
 
 
 def test_names_of_columns_tell_quantity_and_unit():
     told = {
-        "WaterDepthFt": ("depth", FOOT.metres),
-        "Depth_in_Feet": ("depth", FOOT.metres),
-        "depth_ft_us": ("depth", US_SURVEY_FOOT.metres),
-        "Depth (m)": ("depth", 1.0),
-        "DEPTH[Feet]": ("depth", FOOT.metres),
-        "depth_cm": ("depth", 0.01),
-        "Northing": ("northing", None),
-        "POINT_Z": ("z", None),
-        " x ": ("x", None),
-        "UTM Easting (m)": ("easting", 1.0),
-        "Bed elevation": ("elevation", None),
+        ("depth", FOOT.metres): ("WaterDepthFt", "Depth_in_Feet", "DEPTH[Feet]"),
+        ("depth", US_SURVEY_FOOT.metres): ("depth_ft_us",),
+        ("depth", 1.0): ("Depth (m)",),
+        ("depth", 0.01): ("depth_cm",),
+        ("northing", None): ("Northing",),
+        ("z", None): ("POINT_Z",),
+        ("x", None): (" x ",),
+        ("easting", 1.0): ("UTM Easting (m)",),
+        ("elevation", None): ("Bed elevation",),
     }
-    for name, (words, metres) in told.items():
-        found = column_of(name)
-        assert (found.words, found.unit and found.unit.metres) == (words, metres), name
+    for expected, names in told.items():
+        found = [column_of(name) for name in names]
+        assert [(each.words, each.unit and each.unit.metres) for each in found] == [expected] * len(names)
     assert column_of("depth_dbar").foreign == "dbar"
 
 
@@ -59,7 +63,7 @@ def test_nothing_is_met_exactly():
 # ---------------------------------------------------------------- rows
 
 
-def test_rows_that_are_not_taken_are_counted_with_their_first_line(tmp_path):
+def test_rows_that_are_not_taken_are_counted_with_their_first_line(read):
     rows = [f"{412000 + k},5650000,{1 + k / 50:.2f}" for k in range(50)]
     rows[3] = "412003,5650000,-9999"
     rows[7] = "412007,5650000,--"
@@ -67,7 +71,7 @@ def test_rows_that_are_not_taken_are_counted_with_their_first_line(tmp_path):
     rows[11] = "412011,5650000,-9999"
     rows[13] = "x,y,depth"
     rows[15] = "0,0,1.0"
-    table = read_text_table(write(tmp_path, "# a logger\n\nx,y,depth\n" + "\n".join(rows)))
+    table = read("# a logger\n\nx,y,depth\n" + "\n".join(rows))
     assert len(table) == 49
     depth = table.numbers(table.find("depth"), "depth")
     xy = table.places(UTM).xy_m
@@ -83,9 +87,9 @@ def test_rows_that_are_not_taken_are_counted_with_their_first_line(tmp_path):
     assert "1 row with 0, 0, which is no place, in column east, north, left out, the first in line 19" in told
 
 
-def test_a_large_file_of_numbers_is_the_same_as_a_small_one(tmp_path, monkeypatch):
+def test_a_large_file_of_numbers_is_the_same_as_a_small_one(tmp_path, read, monkeypatch):
     text = "y x z\n" + "\n".join(f"{5650000 + k} {412000 + 2 * k} {k / 8}" for k in range(60))
-    slow = read_text_table(write(tmp_path, text))
+    slow = read(text)
     monkeypatch.setattr("thalweg.ingest.tables._LARGE", 10)
     fast = read_text_table(tmp_path / "table.csv")
     assert fast.cells[0].dtype.kind == "f"
@@ -144,41 +148,30 @@ def test_decimal_commas_between_commas(rows, refused):
         _refuse_decimal_commas(rows, Path("a.csv"))
 
 
-def test_latin_1_is_read_and_said(tmp_path):
-    table = read_text_table(write(tmp_path, "x;y;z;Gewässer\n1;2;3;Weiße Elster\n", "latin-1"))
+def test_decimal_commas_beside_whole_numbers(read):
+    """A spreadsheet writes 1 for 1,0."""
+    table = read("x;y;depth\n411980;5650000;0,5\n411982;5650000;1\n411984;5650000;1,5\n")
+    assert table.numbers(2).tolist() == [0.5, 1.0, 1.5]
+
+
+def test_latin_1_is_read_and_said(read):
+    table = read("x;y;z;Gewässer\n1;2;3;Weiße Elster\n", "latin-1")
     assert table.notes == ["The text is no UTF-8 and is read as Windows-1252 (Latin-1)."]
     assert table.text(3) == ["Weiße Elster"]
 
 
-def test_names_of_rows_that_r_leaves_without_a_name(tmp_path):
-    table = read_text_table(write(tmp_path, '"x" "y" "z"\n"1" 10 20 30\n"2" 11 21 31\n'))
+def test_names_of_rows_that_r_leaves_without_a_name(read):
+    table = read('"x" "y" "z"\n"1" 10 20 30\n"2" 11 21 31\n')
     assert [c.name for c in table.columns] == ["row", "x", "y", "z"]
     assert table.numbers(table.find("east")).tolist() == [10.0, 11.0]
 
 
-def test_lines_above_the_names_may_hold_values(tmp_path):
+def test_lines_above_the_names_may_hold_values(read):
     text = "Boat export\nSite: Elbe\nDate: 2024-06-18\n\nEasting Northing Depth\n" + "1 2 3.5\n2 3 3.6\n" * 4
-    table = read_text_table(write(tmp_path, text))
+    table = read(text)
     assert table.listed() == "Easting, Northing, Depth"
     assert table.numbers(2).tolist() == [3.5, 3.6] * 4
     assert table.line.tolist() == list(range(6, 14))
-
-
-@pytest.mark.parametrize("line", ["Units: US feet", "# unit = ft", "# depths in fathoms, WGS 84"])
-def test_a_unit_above_columns_that_name_none_is_asked_about(line, tmp_path):
-    with pytest.raises(InputError, match="beside columns that name no unit") as caught:
-        read_text_table(write(tmp_path, f"{line}\nx y depth\n1 2 3.5\n2 3 3.6\n"))
-    check_whole(caught.value)
-    # a column that names its unit, or metres, leave nothing to ask
-    assert len(read_text_table(write(tmp_path, f"{line}\nx y depth_ft\n1 2 3.5\n2 3 3.6\n"))) == 2
-    assert len(read_text_table(write(tmp_path, "# Units: m\nx y depth\n1 2 3.5\n2 3 3.6\n"))) == 2
-
-
-def test_a_column_of_units_is_asked_about_too(tmp_path):
-    with pytest.raises(InputError, match="'unit: ft' beside columns that name no unit") as caught:
-        read_text_table(write(tmp_path, "lat,lon,depth,units\n51,13,3.5,ft\n51,13,3.6,ft\n"))
-    check_whole(caught.value)
-    assert len(read_text_table(write(tmp_path, "lat,lon,depth,units\n51,13,3.5,m\n51,13,3.6,m\n"))) == 2
 
 
 def test_parts_of_angles_are_no_angles(tmp_path):
@@ -191,17 +184,17 @@ def test_parts_of_angles_are_no_angles(tmp_path):
     assert table.numbers(6, "depth").tolist() == [1.524]
 
 
-def test_nines_beyond_all_other_depths_stand_for_none(tmp_path):
+def test_nines_beyond_all_other_depths_stand_for_none(read):
     """99.9 m in a pond of 2 m; in a lake of 60 m it is a depth, and where a user says so."""
     pond, lake = "depth\n1.5\n99.9\n2.0\n", "depth\n60\n99.9\n50\n"
-    assert np.isnan(read_text_table(write(tmp_path, pond)).numbers(0, "depth")).tolist() == [0, 1, 0]
-    assert np.isfinite(read_text_table(write(tmp_path, pond)).numbers(0, "depth", keep=[99.9])).all()
-    assert np.isfinite(read_text_table(write(tmp_path, lake)).numbers(0, "depth")).all()
+    assert np.isnan(read(pond).numbers(0, "depth")).tolist() == [0, 1, 0]
+    assert np.isfinite(read(pond).numbers(0, "depth", keep=[99.9])).all()
+    assert np.isfinite(read(lake).numbers(0, "depth")).all()
 
 
-def test_names_in_other_languages_are_quantities(tmp_path):
+def test_names_in_other_languages_are_quantities(read):
     for head in ("Est;Nord;Profondità", "Este;Norte;Profundidad (m)", "X/Ost;Y/Nord;Wassertiefe [m]"):
-        table = read_text_table(write(tmp_path, f"{head}\n1;2;3\n2;3;4\n"))
+        table = read(f"{head}\n1;2;3\n2;3;4\n")
         assert [table.find(q) for q in ("east", "north", "depth")] == [0, 1, 2], head
 
 
@@ -212,9 +205,9 @@ def test_names_in_other_languages_are_quantities(tmp_path):
         ("<html><table><tr><td>lat</td></tr></table></html>", "a page or a workbook in XML"),
     ],
 )
-def test_files_of_another_form_are_named(text, words, tmp_path):
+def test_files_of_another_form_are_named(read, text, words):
     with pytest.raises(InputError, match=words) as caught:
-        read_text_table(write(tmp_path, text))
+        read(text)
     check_whole(caught.value)
 
 
@@ -229,12 +222,12 @@ def test_a_line_of_dashes_below_the_names(tmp_path):
 # ---------------------------------------------------------------- angles and times
 
 
-def test_longitudes_counted_all_around(tmp_path):
-    table = read_text_table(write(tmp_path, "lat,lon\n44.5,286.75\n44.5,286.76\n"))
+def test_longitudes_counted_all_around(read):
+    table = read("lat,lon\n44.5,286.75\n44.5,286.76\n")
     assert_allclose(table.angles("lon"), [-73.25, -73.24], atol=1e-12)
 
 
-def test_angles_as_people_write_them(tmp_path):
+def test_angles_as_people_write_them(read):
     rows = [
         "51.0515;13.25",
         "51 3 5.4;13 15 0",
@@ -242,65 +235,54 @@ def test_angles_as_people_write_them(tmp_path):
         "N51.0515;E13.25",
         "51 3.09 N;13 15 E",
     ]
-    table = read_text_table(write(tmp_path, "lat;lon\n" + "\n".join(rows) + "\n"))
+    table = read("lat;lon\n" + "\n".join(rows) + "\n")
     assert_allclose(table.angles("lat"), 51.0515, atol=1e-12)
     assert_allclose(table.angles("lon"), 13.25, atol=1e-12)
-    south = read_text_table(write(tmp_path, "lat,ns,lon,ew\n33.5,S,70.25,W\n33.5,S,70.25,W\n"))
-    assert south.angles("lat").tolist() == [-33.5, -33.5]
-    assert south.angles("lon").tolist() == [-70.25, -70.25]
 
 
-@pytest.mark.parametrize(
-    ("head", "rows", "first", "note"),
-    [
-        ("time", ["2024-06-12T10:00:00Z", "2024-06-12T10:00:01.5Z"], "2024-06-12T10:00:00", ""),
-        ("time", ["2024-06-12T12:00:00+02:00", "2024-06-12 12:00:01+02:00"], "2024-06-12T10:00:00", ""),
-        ("Timestamp", ["2024-06-12 10:00:00", "2024-06-12 10:00:01"], "2024-06-12T10:00:00", "no zone"),
-        ("date,time", ["12.06.2024,10:00:00", "12.06.2024,10:00:01"], "2024-06-12T10:00:00", "no zone"),
-        ("date,time", ["06/12/2024,10:00:00", "06/13/2024,10:00:01"], "2024-06-12T10:00:00", "no zone"),
-        ("epoch", ["1718186400", "1718186401"], "2024-06-12T10:00:00", "seconds since 1970"),
-        ("time", ["1718186400000", "1718186401000"], "2024-06-12T10:00:00", "milliseconds since 1970"),
-        ("gps_time", ["1402221618", "1402221619"], "2024-06-12T10:00:00", "2014-06-08 in"),
-        ("unix", ["1402221618", "1402221619"], "2014-06-08T10:00:18", "2024-06-12 in"),
-        ("time", ["402221618", "402221619"], "2024-06-12T10:00:00", "less 1e9"),
-        ("Datum,Uhrzeit", ["12.06.2024,10:00:00", "12.06.2024,10:00:01"], "2024-06-12T10:00:00", "no zone"),
-        ("date,clock", ["13/06/2024,10:00:00", "13/06/2024,10:00:01"], "2024-06-13T10:00:00", "no zone"),
-        ("date", ["2024-06-12", "2024-06-12"], "2024-06-12T00:00:00", "days without a time"),
-        ("Date,Time", ["20240612,100000", "20240612,100001"], "2024-06-12T10:00:00", "no zone"),
-        ("Time", ["12-Jun-2024 10:00:00", "12-Jun-2024 10:00:01"], "2024-06-12T10:00:00", "no zone"),
-        (
-            "time,week,tow",
-            ["2024-06-12T10:00:00Z,2318,1", "2024-06-12T10:00:01Z,2318,2"],
-            "2024-06-12T10:00:00",
-            "",
-        ),
-        (
-            "time,gps_time,stamp",
-            ["10:00:00,1402221618,a", "10:00:01,1402221619,a"],
-            "2024-06-12T10:00:00",
-            "not of time",
-        ),
-        ("week,tow", ["2318,295218.0", "2318,295219.0"], "2024-06-12T10:00:00", "GPS weeks and seconds"),
-        ("Date/Time", ["6/13/2024 1:30:00 PM", "6/13/2024 1:30:01 PM"], "2024-06-13T13:30:00", "no zone"),
-    ],
-)
-def test_times(tmp_path, head, rows, first, note):
-    table = read_text_table(write(tmp_path, f"{head},x\n" + "".join(f"{r},1\n" for r in rows)))
+TIMES = """\
+time | 2024-06-12T10:00:00Z ; 2024-06-12T10:00:01.5Z | 2024-06-12T10:00:00 |
+time | 2024-06-12T12:00:00+02:00 ; 2024-06-12 12:00:01+02:00 | 2024-06-12T10:00:00 |
+Timestamp | 2024-06-12 10:00:00 ; 2024-06-12 10:00:01 | 2024-06-12T10:00:00 | no zone
+date,time | 12.06.2024,10:00:00 ; 12.06.2024,10:00:01 | 2024-06-12T10:00:00 | no zone
+date,time | 06/12/2024,10:00:00 ; 06/13/2024,10:00:01 | 2024-06-12T10:00:00 | no zone
+epoch | 1718186400 ; 1718186401 | 2024-06-12T10:00:00 | seconds since 1970
+time | 1718186400000 ; 1718186401000 | 2024-06-12T10:00:00 | milliseconds since 1970
+gps_time | 1402221618 ; 1402221619 | 2024-06-12T10:00:00 | 2014-06-08 in
+unix | 1402221618 ; 1402221619 | 2014-06-08T10:00:18 | 2024-06-12 in
+time | 402221618 ; 402221619 | 2024-06-12T10:00:00 | less 1e9
+Datum,Uhrzeit | 12.06.2024,10:00:00 ; 12.06.2024,10:00:01 | 2024-06-12T10:00:00 | no zone
+date,clock | 13/06/2024,10:00:00 ; 13/06/2024,10:00:01 | 2024-06-13T10:00:00 | no zone
+date | 2024-06-12 ; 2024-06-12 | 2024-06-12T00:00:00 | days without a time
+Date,Time | 20240612,100000 ; 20240612,100001 | 2024-06-12T10:00:00 | no zone
+Time | 12-Jun-2024 10:00:00 ; 12-Jun-2024 10:00:01 | 2024-06-12T10:00:00 | no zone
+time,week,tow | 2024-06-12T10:00:00Z,2318,1 ; 2024-06-12T10:00:01Z,2318,2 | 2024-06-12T10:00:00 |
+time,gps_time,stamp | 10:00:00,1402221618,a ; 10:00:01,1402221619,a | 2024-06-12T10:00:00 | not of time
+week,tow | 2318,295218.0 ; 2318,295219.0 | 2024-06-12T10:00:00 | GPS weeks and seconds
+Date/Time | 6/13/2024 1:30:00 PM ; 6/13/2024 1:30:01 PM | 2024-06-13T13:30:00 | no zone
+"""
+"""Names of columns, two rows, the first time in UTC, and what is noted."""
+
+
+@pytest.mark.parametrize("case", TIMES.splitlines())
+def test_times(read, case):
+    head, rows, first, note = (part.strip() for part in case.split("|"))
+    table = read(f"{head},x\n" + "".join(f"{row.strip()},1\n" for row in rows.split(";")))
     unix, notes = table.times()
     assert unix[0] == pytest.approx(pd.Timestamp(first, tz="UTC").timestamp(), abs=1e-6)
     assert (note in " ".join(notes)) if note else not notes
 
 
-def test_times_that_are_not_understood_are_said(tmp_path):
+def test_times_that_are_not_understood_are_said(read):
     """Day numbers of a spreadsheet, and seconds of a day: no time is made up, and the column is named."""
     for value in ("45461.39583", "12 o'clock"):
-        unix, notes = read_text_table(write(tmp_path, f"time,x\n{value},1\n{value},2\n")).times()
+        unix, notes = read(f"time,x\n{value},1\n{value},2\n").times()
         assert np.isnan(unix).all()
         assert notes == [f"column time is not read: '{value}' is no time with a date"]
 
 
-def test_days_and_months_that_may_be_exchanged_are_asked_about(tmp_path):
-    table = read_text_table(write(tmp_path, "date,x\n03/04/2024,1\n03/05/2024,1\n"))
+def test_days_and_months_that_may_be_exchanged_are_asked_about(read):
+    table = read("date,x\n03/04/2024,1\n03/05/2024,1\n")
     with pytest.raises(InputError, match="dates such as 03/04/2024") as caught:
         table.times()
     check_whole(caught.value)
@@ -309,19 +291,19 @@ def test_days_and_months_that_may_be_exchanged_are_asked_about(tmp_path):
 # ---------------------------------------------------------------- places
 
 
-def test_a_map_in_feet_comes_into_metres(tmp_path):
+def test_a_map_in_feet_comes_into_metres(read):
     """New York in feet of the US survey: by the CRS, by the names of the columns, by degrees."""
     feet, metres = CRS("EPSG:2263"), np.array([[300_000.0, 65_000.0], [300_100.0, 65_020.0]])
     foot = 1200 / 3937
     rows = "".join(f"{e!r},{n!r}\n" for e, n in (metres / foot).tolist())
-    own = read_text_table(write(tmp_path, "x,y\n" + rows)).places(feet)
+    own = read("x,y\n" + rows).places(feet)
     assert own.xy_m == pytest.approx(metres, abs=1e-6)
     assert own.crs.axis_info[0].unit_name == "metre"
     assert "taken in the unit of NAD83 / New York Long Island (ftUS)" in own.notes[0]
     rows = "".join(f"{e},{n}\n" for e, n in metres.tolist())
-    named = read_text_table(write(tmp_path, "x_m,y_m\n" + rows)).places(feet)
+    named = read("x_m,y_m\n" + rows).places(feet)
     assert named.xy_m == pytest.approx(metres, abs=1e-6)
-    table = read_text_table(write(tmp_path, "x,y\n" + rows))
+    table = read("x,y\n" + rows)
     with pytest.raises(InputError, match="used from"):
         table.places(feet)
 

@@ -2,13 +2,15 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from tests.ingest.writers import noted
 from thalweg.core import InputError, LocalFrame, gps_from_unix, gps_from_week, rotation_enu_body
-from thalweg.ingest import TrackOptions
+from thalweg.ingest import PoseLog, TrackOptions
 from thalweg.ingest.registry import describe, read_poses, recognise
 from thalweg.ingest.registry.poses import POSES
 from thalweg.ingest.tracks import read_text_poses
@@ -47,11 +49,10 @@ def reader_of(kind: str):
 
 @pytest.mark.parametrize("body_axes", BODY_AXES)
 @pytest.mark.parametrize("kind", ["tum", "euroc", "kitti"])
-def test_poses_on_earth(tmp_path, kind, body_axes):
+def test_poses_on_earth(tmp_path, saved, kind, body_axes):
     path = write(kind, tmp_path / "poses", body_axes)
     assert recognise(path) == kind
-    times = tmp_path / "times.txt"
-    times.write_text("\n".join(str(T0 + 0.1 * k) for k in range(3)))
+    times = saved("times.txt", "\n".join(str(T0 + 0.1 * k) for k in range(3)))
     options = TrackOptions(**STATED, body_axes=body_axes, times=times if kind == "kitti" else None)
     log = reader_of(kind)([path], options)
     s = log.states
@@ -81,7 +82,7 @@ def test_what_a_table_does_not_hold_is_asked_for(tmp_path, kind):
     report = describe(path)
     assert not report.synchronised
     assert report.counts["poses"] == 3
-    assert any("asks for them" in note for note in report.notes)
+    assert noted(report, "asks for them")
     if kind == "kitti":
         with pytest.raises(InputError, match="times"):
             reader_of(kind)([path], TrackOptions(**STATED, body_axes="forward-left-up"))
@@ -98,19 +99,10 @@ def test_what_a_table_does_not_hold_is_asked_for(tmp_path, kind):
         ("tum", "# nothing\n", "no poses"),
     ],
 )
-def test_damaged_tables_are_refused(tmp_path, kind, text, told):
-    path = tmp_path / "poses"
-    path.write_text(text)
+def test_damaged_tables_are_refused(saved, kind, text, told):
+    path = saved("poses", text)
     with pytest.raises(InputError, match=told):
         read_text_poses(kind, [path])
-
-
-@pytest.mark.real
-def test_poses_of_a_real_lidar(data_dir):
-    path = data_dir / "ouster_sdk_samples/OS-1-128_v2.3.0_1024x10_lb_n3_poses_kitti.txt"
-    assert recognise(path) == "kitti"
-    poses = read_text_poses("kitti", [path])
-    assert_allclose(poses.position_m[:, 0], [0.0, 0.2454105, 0.4978255], atol=1e-7)
 
 
 HEADER = """Project:     Elbe
@@ -119,6 +111,7 @@ Program:     Inertial Explorer Version 8.90
  Week   GPSTime    Latitude   Longitude    H-Ell  VEast VNorth   VUp   Roll  Pitch Heading{more}
 (weeks)   (sec)       (deg)       (deg)      (m)  (m/s)  (m/s) (m/s)  (deg)  (deg)   (deg){units}
 """
+SIGMAS_STATED = {"sigma_position_m": 0.1, "sigma_attitude_deg": 0.5}
 SIGMAS = ("  SDEast SDNorth SDHeight  RollSD PitchSD  HdngSD", "   (m) (m) (m) (arcmin) (arcmin) (arcmin)")
 ROW = "2235 300000.{k}00 51.0500000{k} 13.25000000 120.500 0.1 0.2 0.3 1.0 -2.0 359.5"
 
@@ -130,20 +123,22 @@ def export(path: Path, *, sigmas: bool = True, header: str = HEADER) -> Path:
     return path
 
 
+def read(path: Path, **options: Any) -> PoseLog:
+    """An export of Inertial Explorer."""
+    return read_poses([path], "sbet", TrackOptions(**options))
+
+
 def test_inertial_explorer_by_its_header(tmp_path):
     path = export(tmp_path / "boat.txt")
     assert recognise(path) == "inertial_explorer"
-    log = read_poses([path], "sbet", TrackOptions())
-    s = log.states
+    s = read(path).states
     assert_allclose(s["t_gps_s"], gps_from_week(2235, 300_000 + 0.1 * np.arange(4)), atol=1e-6)
     assert_allclose(s["lat_deg"], 51.05 + 1e-8 * np.arange(4), atol=1e-12)
     first = s.iloc[0]
     assert first["v_down_mps"] == -0.3
-    assert np.rad2deg(
-        first[["roll_rad", "pitch_rad", "heading_rad"]].astype(float)
-    ).tolist() == pytest.approx([1.0, -2.0, 359.5])
+    angles = first[["roll_rad", "pitch_rad", "heading_rad", "sigma_heading_rad"]].astype(float)
+    assert np.rad2deg(angles).tolist() == pytest.approx([1.0, -2.0, 359.5, 0.1])  # 6 arc minutes
     assert first[["sigma_east_m", "sigma_north_m", "sigma_up_m"]].tolist() == [0.01, 0.02, 0.03]
-    assert np.rad2deg(first["sigma_heading_rad"]) == pytest.approx(0.1)  # 6 arc minutes
     assert describe(path).counts["poses"] == 4
 
 
@@ -152,23 +147,19 @@ def test_inertial_explorer_in_degrees_minutes_seconds(tmp_path):
     path = tmp_path / "dms.txt"
     row = "2235 300000.0 -0 30 36.0 13 15 00.0 120.5 0.1 0.2 0.3 1.0 -2.0 359.5 0.01 0.02 0.03 1.2 1.8 6.0"
     path.write_text(header.format(more=SIGMAS[0], units=SIGMAS[1]) + row + "\n")
-    first = read_poses([path], "sbet", TrackOptions()).states.iloc[0]
+    first = read(path).states.iloc[0]
     assert (first["lat_deg"], first["lon_deg"]) == pytest.approx((-0.51, 13.25))
 
 
 def test_inertial_explorer_without_sigmas_units_or_columns(tmp_path):
     path = export(tmp_path / "bare.txt", sigmas=False)
-    bare = read_poses([path], "sbet", TrackOptions())
+    bare = read(path)
     assert bare.states[["sigma_up_m", "sigma_roll_rad"]].isna().all(axis=None)
-    assert any("SDEast, SDNorth, SDHeight" in note for note in bare.report.notes)
-    stated = TrackOptions(sigma_position_m=0.1, sigma_attitude_deg=0.5)
-    assert (read_poses([path], "sbet", stated).states["sigma_up_m"] == 0.1).all()
-    wrong = export(tmp_path / "gon.txt", header=HEADER.replace("(deg){units}", "(gon){units}"))
-    with pytest.raises(InputError, match="unit 'gon' of Heading"):
-        read_poses([wrong], "sbet", TrackOptions())
+    assert noted(bare, "SDEast, SDNorth, SDHeight")
+    assert (read(path, **SIGMAS_STATED).states["sigma_up_m"] == 0.1).all()
     path.write_text(path.read_text().replace(" H-Ell", " H-MSL"))
     with pytest.raises(InputError, match="no column H-Ell"):
-        read_poses([path], "sbet", stated)
+        read(path, **SIGMAS_STATED)
 
 
 AERIAL = """Program:     Inertial Explorer Version 8.30
@@ -183,46 +174,52 @@ PARTS = {"more": "Roll RollSD SDHoriz", "units": "(Deg) (Deg) (m)"}
 @pytest.mark.parametrize(
     ("form", "day"), [("(MDY)", "6/12/2024"), ("(d/m/y)", "12/06/2024"), ("(YMD)", "2024-06-12")]
 )
-def test_inertial_explorer_by_date_and_other_names(tmp_path, dms, form, day):
-    path = tmp_path / "aerial.txt"
-    path.write_text(AERIAL.format(dms=dms, form=form, day=day, **PARTS))
+def test_inertial_explorer_by_date_and_other_names(saved, dms, form, day):
+    path = saved("aerial.txt", AERIAL.format(dms=dms, form=form, day=day, **PARTS))
     assert recognise(path) == "inertial_explorer"
-    first = read_poses([path], "sbet", TrackOptions()).states.iloc[0]
+    first = read(path).states.iloc[0]
     assert first["t_gps_s"] == gps_from_week(2318, 295_218.0)
-    assert first["lat_deg"] == pytest.approx(51 + 3 / 60 + 10 / 3600)
-    assert first["lon_deg"] == pytest.approx(-(13 + 45 / 60 + 5 / 3600))
-    angles = [
-        "heading_rad",
-        "pitch_rad",
-        "roll_rad",
-        "sigma_heading_rad",
-        "sigma_pitch_rad",
-        "sigma_roll_rad",
-    ]
-    assert np.rad2deg(first[angles].astype(float)).tolist() == pytest.approx(
-        [51.23, -1.5, 0.25, 0.02, 0.005, 0.004]
-    )
+    place = (51 + 3 / 60 + 10 / 3600, -(13 + 45 / 60 + 5 / 3600))
+    assert (first["lat_deg"], first["lon_deg"]) == pytest.approx(place)
+    angles = [f"{kind}{name}_rad" for kind in ("", "sigma_") for name in ("heading", "pitch", "roll")]
+    found = np.rad2deg(first[angles].astype(float)).tolist()
+    assert found == pytest.approx([51.23, -1.5, 0.25, 0.02, 0.005, 0.004])
     assert first["sigma_east_m"] == pytest.approx(0.05 / np.sqrt(2))
     assert np.isnan(first["sigma_up_m"])
 
 
-def test_inertial_explorer_with_a_date_of_another_day_or_none(tmp_path):
-    path = tmp_path / "aerial.txt"
-    path.write_text(AERIAL.format(dms="(D M S)", form="(MDY)", day="6/15/2024", **PARTS))
+def test_inertial_explorer_with_a_date_of_another_day_or_none(saved):
+    path = saved("aerial.txt", AERIAL.format(dms="(D M S)", form="(MDY)", day="6/15/2024", **PARTS))
     with pytest.raises(InputError, match="second 295,218 of the week on 2024-06-15, a Saturday"):
-        read_poses([path], "sbet", TrackOptions())
-    path.write_text(path.read_text().replace(" Date ", " Day "))
-    path.write_text(path.read_text().replace("6/15/2024", "0"))
+        read(path)
+    path.write_text(path.read_text().replace(" Date ", " Day ").replace("6/15/2024", "0"))
     with pytest.raises(InputError, match="no column Week or Date"):
-        read_poses([path], "sbet", TrackOptions())
+        read(path)
     report = describe(path)
     assert (report.synchronised, report.t_first_s) == (False, 295_218.0)
-    assert any("neither week nor date" in note for note in report.notes)
-    assert not any("1980" in note for note in report.notes)
+    assert noted(report, "neither week nor date")
+    assert not noted(report, "1980")
 
 
 UPRIGHT = [0.0, 0.0, np.sin(0.3), np.cos(0.3)]
 """A level body, x y z w; with w first it would be upside down."""
+LEVEL = [0, 0, 0, 0, 0, 0, 1]
+FORWARD = TrackOptions(**STATED, body_axes="forward-left-up")
+
+
+def poses(
+    folder: Path,
+    cells: list[Any],
+    head: str = "#",
+    separator: str = " ",
+    first: int = T0,
+    per_second: int = 1,
+) -> Path:
+    """Four poses of these cells behind their time, one a second."""
+    path = folder / "poses.txt"
+    rows = ([(first + k) * per_second, *cells] for k in range(4))
+    path.write_text("\n".join([head, *(separator.join(map(str, row)) for row in rows)]) + "\n")
+    return path
 
 
 @pytest.mark.parametrize(
@@ -238,58 +235,44 @@ UPRIGHT = [0.0, 0.0, np.sin(0.3), np.cos(0.3)]
     ],
 )
 def test_names_decide_the_order_of_the_quaternion(tmp_path, head, order):
-    path = tmp_path / "poses.txt"
     cells = [UPRIGHT["xyzw".index(axis)] for axis in order[:4]]
-    separator = ", " if head.startswith(("timestamp,", "#time")) else " "
-    rows = [
-        separator.join(map(str, [T0 + k, *([*cells, 1, 2, 3] if order[4:] else [1, 2, 3, *cells])]))
-        for k in range(4)
-    ]
-    path.write_text("\n".join([head, *rows]) + "\n")
+    row = [*cells, 1, 2, 3] if order[4:] else [1, 2, 3, *cells]
+    path = poses(tmp_path, row, head, ", " if head.startswith(("timestamp,", "#time")) else " ")
     assert recognise(path) == "tum"
-    states = read_poses([path], "ins", TrackOptions(**STATED, body_axes="forward-left-up")).states
+    states = read_poses([path], "ins", FORWARD).states
     assert_allclose(states["roll_rad"], 0.0, atol=1e-5)
     assert_allclose(states["heading_rad"], np.pi / 2 - 0.6, atol=1e-5)
 
 
 def test_a_boat_upside_down_is_refused_unless_it_is_stated(tmp_path):
-    path = tmp_path / "poses.txt"
-    x, y, z, w = UPRIGHT
-    path.write_text("".join(f"{T0 + k} 0 0 0 {w} {x} {y} {z}\n" for k in range(4)))
-    options = TrackOptions(**STATED, body_axes="forward-left-up")
+    path = poses(tmp_path, [0, 0, 0, UPRIGHT[3], *UPRIGHT[:3]])
     with pytest.raises(InputError, match=r"upside down in 100% of 4 poses.*order of the quaternion"):
-        read_poses([path], "ins", options)
-    assert len(read_poses([path], "ins", replace(options, upside_down=True)).states) == 4
+        read_poses([path], "ins", FORWARD)
+    assert len(read_poses([path], "ins", replace(FORWARD, upside_down=True)).states) == 4
 
 
 def test_times_of_a_table_of_poses_contradict_the_stated_scale(tmp_path):
-    path = tmp_path / "poses.txt"
-    path.write_text("".join(f"{1_718_186_400 + k} 0 0 0 0 0 0 1\n" for k in range(4)))
-    options = TrackOptions(**STATED | {"time_scale": "gps"}, body_axes="forward-left-up")
+    options = replace(FORWARD, time_scale="gps")
     with pytest.raises(InputError, match=r"1718186400 is 2024-06-12 in seconds since 1970"):
-        read_poses([path], "ins", options)
-    path.write_text("".join(f"{402_221_618 + k} 0 0 0 0 0 0 1\n" for k in range(4)))
-    log = read_poses([path], "ins", options)
+        read_poses([poses(tmp_path, LEVEL, first=1_718_186_400)], "ins", options)
+    log = read_poses([poses(tmp_path, LEVEL, first=402_221_618)], "ins", options)
     assert log.states["t_gps_s"][0] == 402_221_618.0
-    assert any("less 1e9" in note for note in log.report.notes)
+    assert noted(log, "less 1e9")
 
 
 @pytest.mark.parametrize(("per_second", "separator"), [(10**3, " "), (10**9, " "), (10**3, ",")])
 def test_stamps_of_poses_in_other_units(tmp_path, per_second, separator):
-    path = tmp_path / "poses.txt"
-    head = "# timestamp x y z qx qy qz qw\n"
-    rows = [[(1_718_186_400 + k) * per_second, 0, 0, 0, 0, 0, 0, 1] for k in range(4)]
-    path.write_text(head + "".join(separator.join(map(str, row)) + "\n" for row in rows))
-    log = read_poses([path], "ins", TrackOptions(**STATED, body_axes="forward-left-up"))
+    head = "# timestamp x y z qx qy qz qw"
+    path = poses(tmp_path, LEVEL, head, separator, 1_718_186_400, per_second)
+    log = read_poses([path], "ins", FORWARD)
     assert log.states["t_gps_s"].tolist() == [402_221_618.0 + k for k in range(4)]
-    assert any("seconds since 1970" in note for note in log.report.notes)
+    assert noted(log, "seconds since 1970")
 
 
 def test_a_week_counter_that_rolled_over_is_doubted(tmp_path):
     path = export(tmp_path / "boat.txt")
     path.write_text(path.read_text().replace("2235 ", "187 "))
-    notes = " ".join(read_poses([path], "sbet", TrackOptions()).report.notes)
-    assert "2048 weeks later 2022-11-" in notes
+    assert noted(read(path), "2048 weeks later 2022-11-")
 
 
 def test_inertial_explorer_with_a_time_of_the_day(tmp_path):
@@ -297,14 +280,12 @@ def test_inertial_explorer_with_a_time_of_the_day(tmp_path):
     head = "GPSTime Date Lat Lon H-Ell Roll Pitch Heading\n(HMS) (DMY) (deg) (deg) (m) (deg) (deg) (deg)\n"
     row = "10:00:18.25 12/06/2024 51.05 13.75 155.0 1.0 2.0 3.0\n"
     path.write_text(head + row)
-    stated = TrackOptions(sigma_position_m=0.1, sigma_attitude_deg=0.5)
-    states = read_poses([path], "sbet", stated).states
+    states = read(path, **SIGMAS_STATED).states
     assert states["t_gps_s"].iloc[0] == gps_from_week(2318, 295_218.25)
-    path.write_text(
-        (head + row).replace("Date", "Week").replace("(DMY)", "(weeks)").replace("12/06/2024", "2318")
-    )
+    head, row = head.replace("Date", "Week").replace("(DMY)", "(weeks)"), row.replace("12/06/2024", "2318")
+    path.write_text(head + row)
     with pytest.raises(InputError, match="times of the day without a date"):
-        read_poses([path], "sbet", stated)
+        read(path, **SIGMAS_STATED)
 
 
 @pytest.mark.parametrize(
@@ -313,11 +294,12 @@ def test_inertial_explorer_with_a_time_of_the_day(tmp_path):
         ("(sec)", "(UTC)", r"times in 'UTC'"),
         ("(m/s)  (m/s) (m/s)", "(mph)  (mph) (mph)", "unit 'mph'"),
         ("      (m)  ", "     (mm)  ", "unit 'mm' of H-Ell"),
+        ("(deg){units}", "(gon){units}", "unit 'gon' of Heading"),
     ],
 )
 def test_inertial_explorer_in_other_units_is_refused(tmp_path, usual, stated, words):
     with pytest.raises(InputError, match=words):
-        read_poses([export(tmp_path / "a.txt", header=HEADER.replace(usual, stated))], "sbet", TrackOptions())
+        read(export(tmp_path / "a.txt", header=HEADER.replace(usual, stated)))
 
 
 @pytest.mark.parametrize(
@@ -332,18 +314,17 @@ def test_inertial_explorer_in_other_units_is_refused(tmp_path, usual, stated, wo
 )
 def test_headers_of_inertial_explorer_are_quoted(tmp_path, line, quoted):
     header = HEADER.replace("Project:     Elbe", line)
-    log = read_poses([export(tmp_path / "a.txt", header=header)], "sbet", TrackOptions())
+    log = read(export(tmp_path / "a.txt", header=header))
     assert any(line in note for note in log.report.notes) == quoted
 
 
 def test_yaw_and_zeros_of_inertial_explorer_are_told(tmp_path):
     path = export(tmp_path / "a.txt", header=HEADER.replace("Heading", "    Yaw"))
     path.write_text(path.read_text().replace("0.01 0.02 0.03", "0.00 0.00 0.00"))
-    log = read_poses([path], "sbet", TrackOptions())
+    log = read(path)
     assert log.states["sigma_east_m"].isna().all()
-    notes = " ".join(log.report.notes)
-    assert "own yaw counts counterclockwise" in notes
-    assert "no standard deviations of positions" in notes
+    assert noted(log, "own yaw counts counterclockwise")
+    assert noted(log, "no standard deviations of positions")
 
 
 @pytest.mark.parametrize(
@@ -355,21 +336,15 @@ def test_yaw_and_zeros_of_inertial_explorer_are_told(tmp_path):
     ],
 )
 def test_places_and_poses_of_other_kinds_are_refused(tmp_path, head, place, words):
-    path = tmp_path / "poses.txt"
-    rotation = " ".join(map(str, UPRIGHT))
-    path.write_text("\n".join([head, *(f"{T0 + k} {place} {rotation}" for k in range(4))]) + "\n")
     with pytest.raises(InputError, match=words):
-        read_poses([path], "ins", TrackOptions(**STATED, body_axes="forward-left-up"))
+        read_poses([poses(tmp_path, [place, *UPRIGHT], head)], "ins", FORWARD)
 
 
 @pytest.mark.parametrize(
     ("remark", "quoted"), [("# T_body_world", True), ("# frame odom", True), ("# t_x t_y", False)]
 )
 def test_remarks_on_frames_are_quoted(tmp_path, remark, quoted):
-    path = tmp_path / "poses.txt"
-    rotation = " ".join(map(str, UPRIGHT))
-    path.write_text("\n".join([remark, *(f"{T0 + k} 1 2 3 {rotation}" for k in range(4))]) + "\n")
-    assert any(remark in note for note in describe(path).notes) == quoted
+    assert noted(describe(poses(tmp_path, [1, 2, 3, *UPRIGHT], remark)), remark) == quoted
 
 
 def test_a_world_of_a_camera_is_refused(tmp_path):

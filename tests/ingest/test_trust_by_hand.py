@@ -62,6 +62,25 @@ def test_a_fix_is_refused_beyond_three_sigmas_of_three_coordinates(east_m, refus
     assert out["lon_deg"].to_numpy() == pytest.approx(expected, abs=1e-12)
 
 
+def test_a_run_of_wrong_integers_among_float_positions_becomes_float():
+    """15 epochs 2.3 m aside with 1 cm stated: they get the place and the sigmas of the float solution."""
+    floats = positions(60, "float", 0.1)
+    mixed = positions(60, "float", 0.1)
+    wrong = positions(60, "fixed", 0.01, -2.3)
+    mixed.loc[20:34] = wrong.loc[20:34]
+    out, trust = judged(mixed, floats, 8_000.0)
+    assert trust.refused == {"baseline": 0, "duration": 0, "float": 15}
+    assert (out["fix"] == "float").all()
+    assert out["lon_deg"].to_numpy() == pytest.approx(LON, abs=1e-12)
+    assert out["sigma_up_m"].to_numpy() == pytest.approx(np.hypot(0.2, 0.08))
+
+
+def test_refused_epochs_without_a_float_position_are_counted():
+    out, trust = judged(positions(200, "fixed", 0.01), positions(150, "float", 0.1), 50_000.0)
+    assert (len(out), trust.without_float) == (150, 50)
+    assert "50 of them have no float position" in " ".join(trust.notes())
+
+
 def test_runs_that_are_short_and_baselines_that_are_long_are_refused():
     """Nine epochs of a second are 9 s."""
     table = positions(60, "float", 0.1)

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from pyubx2 import GET, UBXMessage
 
-from tests.ingest.writers import nmea, read_or_refused
+from tests.ingest.writers import nmea, noted, read_or_refused
 from thalweg.core import InputError, gps_from_week
-from thalweg.ingest import TrackOptions
+from thalweg.ingest import PositionLog, TrackOptions
 from thalweg.ingest.ppk import describe_rinex
 from thalweg.ingest.ppk.solution import prepare_inputs
 from thalweg.ingest.recorders import read_ubx
@@ -49,10 +49,29 @@ def summed(body: bytearray) -> bytes:
     return bytes(body[:-2]) + bytes([a, b])
 
 
+def of_nav(name: str, k: int, **fields: object) -> bytes:
+    return at_time(UBXMessage("NAV", name, GET, **fields), k, 6)
+
+
+def fine(k: int, **fields: object) -> bytes:
+    """A place to a tenth of a millimetre."""
+    return at_time(UBXMessage("NAV", "NAV-HPPOSLLH", GET, **fields), k, 10)
+
+
 def log_of(tmp_path: Path, *parts: bytes) -> Path:
     path = tmp_path / "receiver.ubx"
     path.write_bytes(b"".join(parts))
     return path
+
+
+@pytest.fixture
+def read(tmp_path):
+    """Reads a log of these contents."""
+
+    def made(*parts: bytes) -> PositionLog:
+        return read_ubx([log_of(tmp_path, *parts)], TrackOptions())
+
+    return made
 
 
 def test_positions_have_time_place_fix_and_sigmas(tmp_path):
@@ -70,38 +89,22 @@ def test_positions_have_time_place_fix_and_sigmas(tmp_path):
     assert log.report.counts["positions_without_fix"] == 1
 
 
-def test_a_receiver_that_does_not_know_the_leap_seconds_yet_is_on_time(tmp_path):
+def test_a_receiver_that_does_not_know_the_leap_seconds_yet_is_on_time(read):
     """The date is off by some seconds then; the time of the week is not."""
     utc = UTC + dt.timedelta(seconds=5)
-    path = log_of(tmp_path, pvt(0, second=utc.second, min=utc.minute, hour=utc.hour), pvt(1))
-    log = read_ubx([path], TrackOptions())
+    log = read(pvt(0, second=utc.second, min=utc.minute, hour=utc.hour), pvt(1))
     assert log.positions["t_gps_s"].iloc[0] == float(gps_from_week(WEEK, FIRST_S))
 
 
-def test_finer_places_and_covariances_of_the_same_epoch_count(tmp_path):
-    fine = UBXMessage(
-        "NAV",
-        "NAV-HPPOSLLH",
-        GET,
-        lat=51.0000000,
-        lon=13.0,
-        height=146_500,
-        hAcc=14.0,
-        vAcc=22.5,
-        _HPheight=0.4,
-    )
-    cov = UBXMessage(
-        "NAV", "NAV-COV", GET, posCovValid=1, posCovNN=4e-4, posCovEE=9e-4, posCovDD=16e-4, posCovNE=1e-4,
-        posCovND=2e-4, posCovED=3e-4,
-    )  # fmt: skip
+def test_finer_places_and_covariances_of_the_same_epoch_count(read):
+    place = {"lat": 51.0, "lon": 13.0, "height": 146_500, "hAcc": 14.0, "vAcc": 22.5}
+    known = {"NN": 4e-4, "EE": 9e-4, "DD": 16e-4, "NE": 1e-4, "ND": 2e-4, "ED": 3e-4}
+    cov = {f"posCov{axes}": value for axes, value in known.items()}
     # of epoch 2 both are invalid
-    wrong = UBXMessage("NAV", "NAV-HPPOSLLH", GET, lat=50.0, lon=12.0, height=0, hAcc=1.0, invalidLlh=1)
-    none = UBXMessage("NAV", "NAV-COV", GET, posCovValid=0, posCovNN=1.0, posCovEE=1.0, posCovNE=1.0)
-    path = log_of(
-        tmp_path, pvt(0), at_time(fine, 0, 10), pvt(1), at_time(cov, 1, 6), pvt(2), at_time(wrong, 2, 10),
-        at_time(none, 2, 6),
+    wrong = {"lat": 50.0, "lon": 12.0, "height": 0, "hAcc": 1.0, "invalidLlh": 1}
+    log = read(pvt(0), fine(0, **place, _HPheight=0.4), pvt(1), of_nav("NAV-COV", 1, posCovValid=1, **cov),
+        pvt(2), fine(2, **wrong), of_nav("NAV-COV", 2, posCovValid=0, **dict.fromkeys(cov, 1.0)),
     )  # fmt: skip
-    log = read_ubx([path], TrackOptions())
     first, second, third = (log.positions.iloc[k] for k in range(3))
     assert (third.lat_deg, third.lon_deg, third.h_ell_m) == pytest.approx((51.000002, 13.0, 146.5))
     assert third.sigma_north_m == pytest.approx(0.02 / np.sqrt(2))
@@ -113,11 +116,11 @@ def test_finer_places_and_covariances_of_the_same_epoch_count(tmp_path):
     assert (second.cov_en_m2, second.cov_eu_m2, second.cov_nu_m2) == pytest.approx((1e-4, -3e-4, -2e-4))
 
 
-def test_two_receivers_in_a_log_are_refused(tmp_path):
+def test_two_receivers_in_a_log_are_refused(read):
     both = [part for k in range(3) for part in (pvt(k), pvt(k, lat=51.0 + 1e-6 * k + 1e-5))]
     with pytest.raises(InputError, match="NAV-PVT states two places for 3 times"):
-        read_ubx([log_of(tmp_path, *both)], TrackOptions())
-    assert len(read_ubx([log_of(tmp_path, pvt(0), pvt(0), pvt(1))], TrackOptions()).positions) == 2
+        read(*both)
+    assert len(read(pvt(0), pvt(0), pvt(1)).positions) == 2
 
 
 def test_the_same_second_of_two_weeks_counts_twice(tmp_path):
@@ -130,12 +133,11 @@ def test_the_same_second_of_two_weeks_counts_twice(tmp_path):
     assert t.tolist() == [float(gps_from_week(WEEK + w, FIRST_S + k)) for w in (0, 1) for k in (0, 1)]
 
 
-def test_damage_and_other_protocols_are_counted(tmp_path):
+def test_damage_and_other_protocols_are_counted(read):
     gga = nmea("GPGGA,034622.00,5100.0000,N,01300.0000,E,4,21,0.6,100.0,M,46.5,M,1.0,0001").encode()
     bad = bytearray(pvt(1))
     bad[40] ^= 0xFF
-    path = log_of(tmp_path, pvt(0), gga, bytes(bad), b"\0" * 7, pvt(2), pvt(3)[:-9])
-    log = read_ubx([path], TrackOptions())
+    log = read(pvt(0), gga, bytes(bad), b"\0" * 7, pvt(2), pvt(3)[:-9])
     assert len(log.positions) == 2
     assert log.report.counts["bytes_of_NMEA"] == len(gga)
     assert log.report.losses["bytes_outside_messages"] == len(bad) + 7 + len(pvt(3)) - 9
@@ -158,7 +160,7 @@ def raw_epoch(k: int, week: int, *, old: bool = False) -> bytes:
 
 
 @pytest.mark.parametrize("old", [False, True])
-def test_a_week_comes_from_the_nearest_message_that_tells_it(tmp_path, old):
+def test_a_week_comes_from_the_nearest_message_that_tells_it(read, old):
     """Raw observations are counted, and named for PPK; headings and time marks are told, and not used."""
     plain = [pvt(k, validDate=0, validTime=0) for k in range(4)]
     heading = [
@@ -167,8 +169,7 @@ def test_a_week_comes_from_the_nearest_message_that_tells_it(tmp_path, old):
     ]
     mark = UBXMessage("TIM", "TIM-TM2", GET, ch=0).serialize()
     raw = [raw_epoch(1, WEEK, old=old), raw_epoch(2, WEEK + 1, old=old)]
-    path = log_of(tmp_path, *plain, *raw, *heading, mark)
-    log = read_ubx([path], TrackOptions())
+    log = read(*plain, *raw, *heading, mark)
     expected = gps_from_week(WEEK + np.array([0, 0, 1, 1]), FIRST_S + np.arange(4))
     np.testing.assert_allclose(log.positions["t_gps_s"], expected, atol=1e-6)
     assert log.report.counts["raw_epochs"] == 2
@@ -179,26 +180,10 @@ def test_a_week_comes_from_the_nearest_message_that_tells_it(tmp_path, old):
     assert "1 time marks (TIM-TM2) are not read" in told
 
 
-def test_fine_places_alone_are_single_solutions(tmp_path):
-    fine = [
-        at_time(
-            UBXMessage(
-                "NAV",
-                "NAV-HPPOSLLH",
-                GET,
-                lat=51.0,
-                lon=13.0,
-                height=1000,
-                hAcc=30.0,
-                vAcc=50.0,
-                invalidLlh=bad,
-            ),
-            k,
-            10,
-        )
-        for k, bad in enumerate([0, 0, 1])
-    ]
-    log = read_ubx([log_of(tmp_path, *fine, raw_epoch(0, WEEK))], TrackOptions())
+def test_fine_places_alone_are_single_solutions(read):
+    place = {"lat": 51.0, "lon": 13.0, "height": 1000, "hAcc": 30.0, "vAcc": 50.0}
+    places = [fine(k, **place, invalidLlh=bad) for k, bad in enumerate([0, 0, 1])]
+    log = read(*places, raw_epoch(0, WEEK))
     found = log.positions
     assert found["fix"].tolist() == ["single", "single"]
     assert found["h_ell_m"].tolist() == pytest.approx([1.0, 1.0])
@@ -207,12 +192,8 @@ def test_fine_places_alone_are_single_solutions(tmp_path):
     assert log.report.counts["positions_without_fix"] == 1
 
 
-def of_nav(name: str, k: int, **fields: object) -> bytes:
-    return at_time(UBXMessage("NAV", name, GET, **fields), k, 6)
-
-
 @pytest.mark.parametrize(("name", "ok"), [("NAV-SOL", "gpsfixOK"), ("NAV-STATUS", "gpsFixOk")])
-def test_of_old_receivers_another_message_tells_what_is_a_fix(tmp_path, name, ok):
+def test_of_old_receivers_another_message_tells_what_is_a_fix(read, name, ok):
     """Before the first fix NAV-POSLLH holds the last known place; a week that is not set is none."""
     parts = []
     for k in range(6):
@@ -222,40 +203,39 @@ def test_of_old_receivers_another_message_tells_what_is_a_fix(tmp_path, name, ok
             of_nav(name, k, gpsFix=3 * (k > 1), **{ok: int(k > 2)}),
             of_nav("NAV-TIMEGPS", k, week=WEEK if k > 2 else 1023, weekValid=int(k > 2), towValid=1),
         ]
-    log = read_ubx([log_of(tmp_path, *parts)], TrackOptions())
+    log = read(*parts)
     assert log.positions["lat_deg"].tolist() == pytest.approx([51.0] * 3)
     assert log.report.counts["positions_without_fix"] == 3
     assert not log.report.notes
-    only = read_ubx([log_of(tmp_path, *parts[::3], *parts[2::3])], TrackOptions())
+    only = read(*parts[::3], *parts[2::3])
     assert only.positions["t_gps_s"].tolist() == [float(gps_from_week(WEEK, FIRST_S + k)) for k in range(6)]
-    assert any("which positions are fixes" in note for note in only.report.notes)
+    assert noted(only, "which positions are fixes")
 
 
-def test_a_place_that_is_marked_invalid_is_none(tmp_path):
-    log = read_ubx([log_of(tmp_path, pvt(0, invalidLlh=1, lat=47.0), pvt(1))], TrackOptions())
+def test_a_place_that_is_marked_invalid_is_none(read):
+    log = read(pvt(0, invalidLlh=1, lat=47.0), pvt(1))
     assert log.positions["lat_deg"].tolist() == pytest.approx([51.000001])
 
 
-def test_depths_between_have_the_date_and_say_what_their_sentences_do(tmp_path):
+def test_depths_between_have_the_date_and_say_what_their_sentences_do(read):
     """GGA has no date, NAV-PVT has; what the reader of NMEA notes of the depths stands in the report."""
     parts = []
     for k in range(4):
         clock = f"{UTC + dt.timedelta(seconds=k):%H%M%S}.00"
         gga = nmea(f"GPGGA,{clock},5100.0000,N,01300.0000,E,4,21,0.6,100.0,M,46.5,M,1.0,0001")
         parts += [pvt(k), gga.encode(), nmea(f"SDDPT,{2.5 * (k > 0)},-0.5").encode()]
-    log = read_ubx([log_of(tmp_path, *parts)], TrackOptions())
+    log = read(*parts)
     assert log.depths["t_gps_s"].tolist() == log.positions["t_gps_s"].tolist()
     assert (log.report.counts["depths"], log.report.counts["no_bottom"]) == (3, 1)
     assert log.report.details["DPT offsets"] == "-0.5 m"
-    assert any("the instrument saw no bottom" in note for note in log.report.notes)
-    untimed = read_ubx([log_of(tmp_path, *parts[::3], *parts[2::3])], TrackOptions())
-    assert any("no time sentence" in note for note in untimed.report.notes)
+    assert noted(log, "the instrument saw no bottom")
+    untimed = read(*parts[::3], *parts[2::3])
+    assert noted(untimed, "no time sentence")
 
 
-def test_a_log_without_raw_observations_is_no_rover(tmp_path):
+def test_a_log_without_raw_observations_is_no_rover(tmp_path, saved):
     path = log_of(tmp_path, *(pvt(k) for k in range(3)))
-    base = tmp_path / "base.ubx"
-    base.write_bytes(pvt(0) + pvt(7))
+    base = saved("base.ubx", pvt(0) + pvt(7))
     with pytest.raises(InputError, match="no raw observations in a UBX log"):
         prepare_inputs([path], [base], [], tmp_path, time_limit_s=20)
 
@@ -286,10 +266,9 @@ def test_damaged_logs_are_read_or_refused(tmp_path, fuzz):
     fuzz.check(read=0.9, troubled=0.2)
 
 
-def test_a_receiver_is_no_ins(tmp_path):
+def test_a_receiver_is_no_ins(saved):
     """Headings of two antennas lack roll and pitch: refused with the reason; the log is one of positions."""
-    path = tmp_path / "boat.ubx"
-    path.write_bytes(b"".join(pvt(k) for k in range(30)))
+    path = saved("boat.ubx", b"".join(pvt(k) for k in range(30)))
     with pytest.raises(InputError, match=r"knows no roll and pitch, even if two antennas .* logs\.positions"):
         read_poses([path], "ins")
     table, _ = read_positions("pos", [path], states=None, base=[], nav=[], ppk={}, base_position={})

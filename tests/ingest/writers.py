@@ -4,11 +4,17 @@ import binascii
 import struct
 from collections.abc import Callable, Iterator
 from functools import reduce
+from io import StringIO
 from operator import xor
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
+from pyproj import CRS
+
 from tests.conftest import check_whole
+from thalweg.bathymetry import read_soundings
+from thalweg.cli import main
 from thalweg.core import ThalwegError
 
 ROVER = 12027
@@ -38,6 +44,31 @@ def files_of(folder: Path, *contents: bytes | str, name: str = "log") -> list[Pa
     for path, data in zip(files, contents, strict=True):
         path.write_bytes(data if isinstance(data, bytes) else data.encode())
     return files
+
+
+def noted(found: Any, *words: str) -> bool:
+    """Whether one note of a report, or of the report of what was read, holds all these words."""
+    notes = getattr(found, "report", found).notes
+    return any(all(word in note for word in words) for note in notes)
+
+
+def new_campaign(logs: Path, folder: Path) -> Path:
+    """The file of a new campaign of these logs, with a lever arm where one is asked for."""
+    assert main(["new-campaign", "boat", "--from-logs", str(logs), "--folder", str(folder)]) == 0
+    path = folder / "boat.yaml"
+    path.write_text(path.read_text().replace("lever_ics_m: CHANGE", "lever_ics_m: [0.0, 0.0, 0.3]"))
+    return path
+
+
+def sounded(path: Path, crs: CRS | None, **how: Any) -> Any:
+    """Soundings of a table of which nothing is stated beside it."""
+    nothing = dict.fromkeys(("column", "depth", "level_m", "line_column"))
+    return read_soundings(path, crs, **{**nothing, "sigma_m": 0.02, **how})
+
+
+def numbers(text: str) -> pd.DataFrame:
+    """A table as it stands on paper: names in the first line, blanks between the columns."""
+    return pd.read_csv(StringIO(text), sep=r"\s+")
 
 
 def read_or_refused(

@@ -1,10 +1,13 @@
 """A good campaign of a real survey, whose logs are small dummy files, and a way to spoil it."""
 
-import copy
+import re
 from typing import Any
 
 import pytest
 import yaml
+
+from thalweg.settings import load_campaign
+from thalweg.settings.messages import CampaignError
 
 LOGS = {
     "raw/lidar_1.pcap": b"one",
@@ -17,48 +20,54 @@ LOGS = {
     "raw/empty.pcap": b"",
 }
 
-GOOD: dict[str, Any] = {
-    "campaign": {
-        "id": "good",
-        "title": "A good campaign",
-        "crs": "EPSG:25833",
-        "origin": {"lat_deg": 51.05, "lon_deg": 13.25, "h_ell_m": 300.0},
-        "seed": 5,
-    },
-    "logs": {
-        "lidar": ["raw/lidar_1.pcap", "raw/lidar_2.pcap"],
-        "ins": ["raw/boat.anpp"],
-        "positions": ["raw/ppk.pos"],
-        "gnss": {"rover": ["raw/rover.sbp"]},
-        "depth": ["raw/echo.nmea"],
-    },
-    "lidar": {"model": "VLP-16"},
-    "georeferencing": {"min_range_m": 0.5, "max_range_m": 120.0},
-    "mounts": {
-        "lidar": {"phi_deg": -90.0, "lever_ics_m": [-0.35, 0.0, -0.25]},
-        "antenna": {"lever_ics_m": [0.1, 0.0, -0.45]},
-        "echo_sounder": {"lever_ics_m": [0.2, 0.0, 0.3]},
-    },
-    "orientation": {"position_source": "pos", "accept_fixes": ["fixed", "float"]},
-}
-
-REMOVE = object()
-"""Stands for a key that is taken out."""
+GOOD = """
+campaign:
+  id: good
+  title: A good campaign
+  crs: EPSG:25833
+  origin: {lat_deg: 51.05, lon_deg: 13.25, h_ell_m: 300.0}
+  seed: 5
+logs:
+  lidar: [raw/lidar_1.pcap, raw/lidar_2.pcap]
+  ins: [raw/boat.anpp]
+  positions: [raw/ppk.pos]
+  gnss: {rover: [raw/rover.sbp]}
+  depth: [raw/echo.nmea]
+lidar: {model: VLP-16}
+georeferencing: {min_range_m: 0.5, max_range_m: 120.0}
+mounts:
+  lidar: {phi_deg: -90.0, lever_ics_m: [-0.35, 0.0, -0.25]}
+  antenna: {lever_ics_m: [0.1, 0.0, -0.45]}
+  echo_sounder: {lever_ics_m: [0.2, 0.0, 0.3]}
+orientation: {position_source: pos, accept_fixes: [fixed, float]}
+"""
 
 
-def patched(changes: dict[str, Any]) -> dict[str, Any]:
-    """The good campaign with other values at dotted paths."""
-    data = copy.deepcopy(GOOD)
-    for dotted, value in changes.items():
+def patched(changes: str | dict[str, Any]) -> dict[str, Any]:
+    """The good campaign with other values at dotted paths; ``<removed>`` takes a key out."""
+    data = yaml.safe_load(GOOD)
+    for dotted, value in (yaml.safe_load(changes) if isinstance(changes, str) else changes).items():
         *parents, last = dotted.split(".")
         place = data
         for key in parents:
             place = place.setdefault(key, {})
-        if value is REMOVE:
+        if value == "<removed>":
             del place[last]
         else:
             place[last] = value
     return data
+
+
+def in_order(words: str) -> str:
+    """Pattern of a message that holds these words in their order; `` ... `` stands for what is between."""
+    return r"[\s\S]*".join(map(re.escape, words.split(" ... ")))
+
+
+def mistakes_of(*campaign: Any) -> CampaignError:
+    """What is wrong with a campaign, all of it."""
+    with pytest.raises(CampaignError) as caught:
+        load_campaign(*campaign)
+    return caught.value
 
 
 @pytest.fixture
@@ -73,20 +82,11 @@ def survey(tmp_path):
 
 @pytest.fixture
 def write(survey):
-    """Writes the good campaign with changes at dotted paths, or the text given."""
+    """Writes the good campaign with changes at dotted paths, as YAML or as a dict."""
 
-    def write(changes=None, name="good.yaml"):
+    def write(changes="{}", name="good.yaml"):
         path = survey / name
-        text = (
-            changes if isinstance(changes, str) else yaml.safe_dump(patched(changes or {}), sort_keys=False)
-        )
-        path.write_text(text, encoding="utf-8")
+        path.write_text(yaml.safe_dump(patched(changes), sort_keys=False), encoding="utf-8")
         return path
 
     return write
-
-
-@pytest.fixture
-def removed():
-    """The mark that takes a key out."""
-    return REMOVE

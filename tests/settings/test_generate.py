@@ -6,9 +6,9 @@ import re
 import jsonschema
 import pytest
 
-from thalweg.core import read_yaml
+from thalweg.core import parse_yaml, read_yaml
 from thalweg.settings import Campaign, write_generated
-from thalweg.settings.generate import BEGIN, END, generated, with_manual
+from thalweg.settings.generate import BEGIN, END, defaults_text, generated, with_manual
 from thalweg.settings.messages import all_paths, node_at, schema
 from thalweg.settings.sections import Ppk
 
@@ -58,18 +58,13 @@ def test_every_key_is_described():
         assert node.get("description"), f"{'.'.join(path)} has no description"
 
 
-@pytest.mark.parametrize("suffix", ["_m", "_s", "_deg"])
-def test_units_stand_in_descriptions(suffix):
-    words = {"_m": "metres", "_s": "seconds", "_deg": "degrees"}
-    for path in all_paths():
-        if path[-1].endswith(suffix) and "_per_" not in path[-1]:
-            assert words[suffix] in node_at(path)["description"], ".".join(path)
+@pytest.mark.parametrize(("suffix", "word"), [("_m", "metres"), ("_s", "seconds"), ("_deg", "degrees")])
+def test_units_stand_in_descriptions(suffix, word):
+    paths = [path for path in all_paths() if path[-1].endswith(suffix) and "_per_" not in path[-1]]
+    assert [".".join(path) for path in paths if word not in node_at(path)["description"]] == []
 
 
 def test_defaults_hold_every_key_with_its_default(repository):
-    from thalweg.core import parse_yaml
-    from thalweg.settings.generate import defaults_text
-
     document = parse_yaml(defaults_text())
     assert not document.mistakes
     for path in all_paths():

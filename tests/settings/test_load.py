@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from tests.settings.conftest import in_order
 from thalweg.cli import main
-from thalweg.settings import load_campaigns, natural_order
-from thalweg.settings.load import load_campaign
+from thalweg.settings import load_campaign, load_campaigns, natural_order
 from thalweg.settings.messages import CampaignError
 
 SHIPPED = sorted((Path(__file__).resolve().parents[2] / "config" / "campaigns").glob("*.yaml"))
@@ -39,12 +39,12 @@ def test_plain_values_are_those_of_json(write):
 
 def test_patterns_home_and_absolute_paths(write, survey, monkeypatch):
     monkeypatch.setenv("HOME", str(survey))
-    files = {
-        "logs.lidar": ["raw/lidar_?.pcap"],
-        "logs.ins": ["~/raw/boat.anpp"],
-        "logs.positions": [str(survey / "raw" / "ppk.pos")],
-        "logs.depth": ["**/*.nmea"],
-    }
+    files = f"""
+        logs.lidar: ["raw/lidar_?.pcap"]
+        logs.ins: [~/raw/boat.anpp]
+        logs.positions: [{survey}/raw/ppk.pos]
+        logs.depth: ["**/*.nmea"]
+    """
     monkeypatch.chdir("/")
     campaign = load_campaign(write(files))
     assert [p.name for p in campaign.log_files("lidar")] == ["lidar_1.pcap", "lidar_2.pcap"]
@@ -60,42 +60,40 @@ def test_the_interior_of_a_camera_is_found_from_the_campaign_file(text, write, s
     monkeypatch.setenv("HOME", str(survey))
     path = write({"calibration.boat_camera.interior": text})
     monkeypatch.chdir(path.parent.parent)
-    campaign = load_campaign(Path(path.parent.name) / path.name)
+    campaign = load_campaign(f"{path.parent.name}/{path.name}")
+    assert campaign.log_files("ins") == [survey / "raw/boat.anpp"]
     assert campaign.calibration.boat_camera.interior == str(survey / "camera.txt")
     assert campaign.plain()["calibration"]["boat_camera"]["interior"] == str(survey / "camera.txt")
 
 
 def test_brackets_in_a_real_name_are_no_pattern(write, survey):
     (survey / "boat [1].anpp").write_bytes(b"x")
-    campaign = load_campaign(write({"logs.ins": ["boat [1].anpp"]}))
+    campaign = load_campaign(write("logs.ins: ['boat [1].anpp']"))
     assert campaign.log_files("ins") == [survey / "boat [1].anpp"]
-
-
-def test_relative_campaign_path_gives_absolute_logs(write, survey, monkeypatch):
-    write()
-    monkeypatch.chdir(survey)
-    assert load_campaign("good.yaml").log_files("ins") == [survey / "raw/boat.anpp"]
 
 
 def test_rinex_is_no_sbp(write, survey):
     for name in ("boat.21o", "boat.obs"):
         (survey / name).write_bytes(b"x")
-    campaign = load_campaign(write({"logs.gnss.rover": ["boat.21o", "boat.obs", "raw/rover.sbp"]}))
+    campaign = load_campaign(write("logs.gnss.rover: [boat.21o, boat.obs, raw/rover.sbp]"))
     assert campaign.log_files("sbp") == [survey / "raw/rover.sbp"]
     assert len(campaign.log_files("rover")) == 3
 
 
-def test_ppk_and_sbet_campaigns(write, removed):
-    gnss = {"rover": ["raw/rover.sbp"], "base": ["raw/base.sbp"], "base_from": "sbp"}
-    ppk = {"orientation.position_source": "ppk", "logs.gnss": gnss, "logs.positions": removed}
+def test_ppk_and_sbet_campaigns(write):
+    ppk = """
+        orientation.position_source: ppk
+        logs.gnss: {rover: [raw/rover.sbp], base: [raw/base.sbp], base_from: sbp}
+        logs.positions: <removed>
+    """
     assert load_campaign(write(ppk)).logs.gnss.base_from == "sbp"
-    sbet = {
-        "orientation.position_source": "sbet",
-        "logs.sbet": ["raw/base.sbp"],
-        "logs.gps_week": 2157,
-        "logs.ins": removed,
-        "mounts.antenna": removed,
-    }
+    sbet = """
+        orientation.position_source: sbet
+        logs.sbet: [raw/base.sbp]
+        logs.gps_week: 2157
+        logs.ins: <removed>
+        mounts.antenna: <removed>
+    """
     assert load_campaign(write(sbet)).logs.gps_week == 2157
 
 
@@ -106,41 +104,37 @@ def test_compound_crs_and_proj_definitions(write):
 
 def test_choice_of_campaigns(write, survey):
     write()
-    folder = survey
-    text = (folder / "good.yaml").read_text()
-    (folder / "second.yaml").write_text(text.replace("id: good", "id: second"))
-    assert list(load_campaigns("good", folder)) == ["good"]
-    assert list(load_campaigns(["second", "good"], folder)) == ["second", "good"]
-    assert list(load_campaigns(str(folder / "second.yaml"), folder)) == ["second"]
-    assert list(load_campaigns("./good.yaml", folder)) == ["good"]
+    second = write("campaign.id: second", name="second.yaml")
+    assert list(load_campaigns("good", survey)) == ["good"]
+    assert list(load_campaigns(["second", "good"], survey)) == ["second", "good"]
+    assert list(load_campaigns(str(second), survey)) == ["second"]
+    assert list(load_campaigns("./good.yaml", survey)) == ["good"]
 
 
 @pytest.mark.parametrize(
-    ("choice", "fragments"),
+    ("choice", "words"),
     [
-        ("god", ("no campaign 'god'", "one of good", "Did you mean good?")),
-        ("good,second", ("no campaign 'good,second'", '--config campaign="[good,second]"')),
-        (None, ("found None", "Known ids: good")),
-        (2021, ("found 2021", "the id of a campaign")),
-        ([], ("found []",)),
-        (["good", "good"], ("'good' is chosen twice", "Remove one")),
-        (["good", "sub/good.yaml"], ("two files have the id 'good'", "Rename one")),
-        ("absent/good.yaml", ("absent/good.yaml: no such file",)),
+        ("god", "no campaign 'god' ... one of good ... Did you mean good?"),
+        ("good,second", "no campaign 'good,second' ... --config campaign=\"[good,second]\""),
+        (None, "found None ... Known ids: good"),
+        (2021, "found 2021 ... the id of a campaign"),
+        ([], "found []"),
+        (["good", "good"], "'good' is chosen twice ... Remove one"),
+        (["good", "sub/good.yaml"], "two files have the id 'good' ... Rename one"),
+        ("absent/good.yaml", "absent/good.yaml: no such file"),
     ],
 )
-def test_bad_choices(choice, fragments, write, survey):
+def test_bad_choices(choice, words, write, survey):
     text = write().read_text().replace("raw/", "../raw/")
     (survey / "sub").mkdir()
     (survey / "sub" / "good.yaml").write_text(text)
-    with pytest.raises(CampaignError) as caught:
+    with pytest.raises(CampaignError, match=in_order(words)):
         load_campaigns(choice, survey)
-    for fragment in fragments:
-        assert fragment in str(caught.value)
 
 
 def test_mistakes_of_several_files_come_together(write, survey):
-    write({"georeferencing.max_range_m": -1})
-    write({"campaign.id": "two", "lidar.model": "x"}, name="two.yaml")
+    write("georeferencing.max_range_m: -1")
+    write("{campaign.id: two, lidar.model: x}", name="two.yaml")
     with pytest.raises(CampaignError) as caught:
         load_campaigns(["good", "two", "three"], survey)
     assert len(caught.value.mistakes) == 3
@@ -178,25 +172,15 @@ def test_a_pattern_lists_numbered_parts_in_their_order(write, survey):
     (survey / "raw2").mkdir()
     for k in (10, 9, 1, 2, 100):
         (survey / f"raw2/part_{k}.pcap").write_bytes(b"x")
-    campaign = load_campaign(write({"logs.lidar": ["raw2/*.pcap"]}))
+    campaign = load_campaign(write("logs.lidar: [raw2/*.pcap]"))
     assert [p.stem for p in campaign.log_files("lidar")] == [f"part_{k}" for k in (1, 2, 9, 10, 100)]
 
 
 def test_natural_order_of_names():
-    names = ["a/x2", "a/x10", "a/x", "a/X1", "a10/x", "a2/x", "a/07", "a/7", "a/lidar.pcap1", "a/lidar.pcap"]
-    found = [str(p) for p in sorted(map(Path, names), key=natural_order)]
-    assert found == [
-        "a/07",
-        "a/7",
-        "a/X1",
-        "a/lidar.pcap",
-        "a/lidar.pcap1",
-        "a/x",
-        "a/x2",
-        "a/x10",
-        "a2/x",
-        "a10/x",
-    ]
+    names = "a/x2 a/x10 a/x a/X1 a10/x a2/x a/07 a/7 a/lidar.pcap1 a/lidar.pcap"
+    found = sorted(map(Path, names.split()), key=natural_order)
+    expected = "a/07 a/7 a/X1 a/lidar.pcap a/lidar.pcap1 a/x a/x2 a/x10 a2/x a10/x"
+    assert " ".join(map(str, found)) == expected
 
 
 def test_a_pattern_names_campaigns(write, tmp_path, monkeypatch):

@@ -2,48 +2,56 @@
 
 import re
 import shutil
+from typing import Any
 
 import pytest
+import yaml
 
+from thalweg.core import Mistake
 from thalweg.settings.checks_campaign import check_images, check_rig
 from thalweg.settings.load import check_campaign
 
-FIELD = {"field": ["room.yaml"], "field_images": ["room"], "field_points": ["points.csv"]}
+FIELD = "field: [room.yaml], field_images: [room], field_points: [points.csv]"
 RIG = {"mount": {"omega_deg": 90.0}}
 
 
+def checked(logs: str, rig: Any, lidar: bool, mode: str = "") -> list[Mistake]:
+    """Mistakes of a rig with these logs, in braces, and this mode of panoramas."""
+    return list(check_rig(yaml.safe_load(logs), rig, lidar, {"mode": mode} if mode else None))
+
+
 @pytest.mark.parametrize(
-    ("logs", "rig", "lidar", "panorama"),
+    ("logs", "rig", "lidar", "mode"),
     [
-        (None, None, False, None),
-        ({"images": ["theta"], **FIELD}, RIG, True, None),
-        ({"images": ["theta"], "calibration": ["rig.yaml"]}, RIG, True, {"mode": "depth"}),
-        ({"images": ["theta"], "calibration": ["rig.yaml"]}, RIG, False, {"mode": "sphere"}),
-        (FIELD, None, False, None),
+        ("null", None, False, ""),
+        (f"{{images: [theta], {FIELD}}}", RIG, True, ""),
+        ("{images: [theta], calibration: [rig.yaml]}", RIG, True, "depth"),
+        ("{images: [theta], calibration: [rig.yaml]}", RIG, False, "sphere"),
+        (f"{{{FIELD}}}", None, False, ""),
     ],
 )
-def test_whole_sets_are_taken(logs, rig, lidar, panorama):
-    assert list(check_rig(logs, rig, lidar, panorama)) == []
+def test_whole_sets_are_taken(logs, rig, lidar, mode):
+    assert checked(logs, rig, lidar, mode) == []
 
 
 @pytest.mark.parametrize(
     ("logs", "rig", "lidar", "path", "words"),
     [
         (
-            {"field": ["room.yaml"], "calibration": ["rig.yaml"]},
+            "{field: [room.yaml], calibration: [rig.yaml]}",
             RIG,
             True,
-            ("logs", "rig", "field"),
+            "logs.rig.field",
             "without logs.rig.field_images and logs.rig.field_points",
         ),
-        ({"images": ["theta"]}, RIG, True, ("logs", "rig", "images"), "nothing that calibrates it"),
-        ({"images": ["theta"], **FIELD}, {}, True, ("rig",), "no place of it on the boat"),
-        ({"images": ["theta"], **FIELD}, RIG, False, ("panorama", "mode"), "no lidar"),
+        ("{images: [theta]}", RIG, True, "logs.rig.images", "nothing that calibrates it"),
+        (f"{{images: [theta], {FIELD}}}", {}, True, "rig", "no place of it on the boat"),
+        (f"{{images: [theta], {FIELD}}}", RIG, False, "panorama.mode", "no lidar"),
     ],
 )
 def test_what_is_missing_is_told(logs, rig, lidar, path, words):
-    (mistake,) = check_rig(logs, rig, lidar, None)
-    assert mistake.path == path
+    (mistake,) = checked(logs, rig, lidar)
+    assert mistake.dotted == path
     assert words in mistake.found
     assert mistake.cure
 

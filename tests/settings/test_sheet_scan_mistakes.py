@@ -6,43 +6,43 @@ from typing import Any
 import pytest
 import yaml
 
-from tests.settings.test_light_sheet_mistakes import told
-from thalweg.settings.load import load_campaign
+from tests.settings.test_light_sheet_mistakes import PLACE, told
+from thalweg.settings import load_campaign
 
-SCAN: dict[str, Any] = {
-    "images": ["wreck"],
-    "pulses": ["wreck/pulses.csv"],
-    "panel": ["panel.csv"],
-    "marks": ["wreck/marks.csv"],
-    "camera": ["camera.json"],
-    "reference": ["wreck.ply"],
-    "pairs": ["wreck/pairs.csv"],
-}
-BASIN: dict[str, Any] = {
-    "sensor": ["sensor.yaml"],
-    "camera_marks": ["camera_marks.csv"],
-    "mark_points": ["mark_points.csv"],
-    "grid_images": ["grid.png"],
-    "grid": ["grid.yaml"],
-}
+SCAN: dict[str, list[str]] = yaml.safe_load("""
+images: [wreck]
+pulses: [wreck/pulses.csv]
+panel: [panel.csv]
+marks: [wreck/marks.csv]
+camera: [camera.json]
+reference: [wreck.ply]
+pairs: [wreck/pairs.csv]
+""")
+BASIN = yaml.safe_load("""
+sensor: [sensor.yaml]
+camera_marks: [camera_marks.csv]
+mark_points: [mark_points.csv]
+grid_images: [grid.png]
+grid: [grid.yaml]
+""")
 
 
-def campaign(folder: Path, scans: Any) -> Path:
+def campaign(folder: Path, scans: Any, basin: dict[str, list[str]] = BASIN) -> Path:
     """A basin with all files that the good scan names."""
     (folder / "wreck").mkdir(exist_ok=True)
     (folder / "wreck" / "1.png").write_text("x")
-    for files in (*BASIN.values(), *SCAN.values()):
-        for name in files:
-            if "." in name:
-                (folder / name).write_text("x")
-    origin = {"lat_deg": 51.05, "lon_deg": 13.25, "h_ell_m": 300.0}
-    data = {
-        "campaign": {"id": "good", "title": "t", "crs": "EPSG:25833", "origin": origin, "seed": 1},
-        "logs": {"light_sheet": BASIN | {"scans": scans}},
-    }
+    for (name,) in (*BASIN.values(), *SCAN.values()):
+        if "." in name:
+            (folder / name).write_text("x")
     path = folder / "good.yaml"
+    data = yaml.safe_load(PLACE) | {"logs": {"light_sheet": basin | {"scans": scans}}}
     path.write_text(yaml.safe_dump(data))
     return path
+
+
+def without(*parts: str) -> dict[str, list[str]]:
+    """The good scan without some of its parts."""
+    return {key: files for key, files in SCAN.items() if key not in parts}
 
 
 def test_a_complete_scan_has_absolute_paths(tmp_path):
@@ -54,20 +54,19 @@ def test_a_complete_scan_has_absolute_paths(tmp_path):
 
 @pytest.mark.parametrize("part", ["images", "panel", "marks", "camera"])
 def test_what_a_scan_needs(tmp_path, part):
-    text = told(campaign(tmp_path, {"wreck": {k: v for k, v in SCAN.items() if k != part}}))
+    text = told(campaign(tmp_path, {"wreck": without(part)}))
     assert f"logs.light_sheet.scans.wreck.{part}: missing" in text
     assert f"Add the line `{part}: [...]`" in text
 
 
 def test_a_scan_without_reference_or_pulses_is_none_the_less_a_scan(tmp_path):
-    rest = {k: v for k, v in SCAN.items() if k not in ("reference", "pairs", "pulses")}
-    found = load_campaign(campaign(tmp_path, {"wreck": rest}))
+    found = load_campaign(campaign(tmp_path, {"wreck": without("reference", "pairs", "pulses")}))
     assert found.log_files("wreck.reference") == []
 
 
 @pytest.mark.parametrize(("one", "other"), [("reference", "pairs"), ("pairs", "reference")])
 def test_a_reference_needs_pairs_and_pairs_a_reference(tmp_path, one, other):
-    text = told(campaign(tmp_path, {"wreck": {k: v for k, v in SCAN.items() if k != other}}))
+    text = told(campaign(tmp_path, {"wreck": without(other)}))
     assert f"scans.wreck.{other}: missing" in text
     assert f"beside {one}" in text
     assert "Pick three or more places" in text
@@ -87,11 +86,6 @@ def test_names_that_other_series_have(tmp_path, name):
     assert "Call the scan by its object" in text
 
 
-@pytest.mark.parametrize("name", ["Wreck", "1wreck", "wreck of 1902", "", "a" * 41, "../up"])
-def test_names_that_make_no_folder(tmp_path, name):
-    assert "scans" in told(campaign(tmp_path, {name: SCAN}))
-
-
 def test_unknown_keys_and_missing_files_are_named(tmp_path):
     text = told(campaign(tmp_path, {"wreck": SCAN | {"marcs": ["x"], "camera": ["camra.json"]}}))
     assert "scans.wreck.marcs" in text
@@ -106,18 +100,18 @@ def test_scans_that_are_no_table(tmp_path, scans):
     assert "scans" in told(campaign(tmp_path, scans))
 
 
+@pytest.mark.parametrize("name", ["Wreck", "1wreck", "wreck of 1902", "", "a" * 41, "../up"])
+def test_names_that_make_no_folder(tmp_path, name):
+    assert "scans" in told(campaign(tmp_path, {name: SCAN}))
+
+
 def test_all_mistakes_of_two_scans_stand_in_one_message(tmp_path):
-    one = {k: v for k, v in SCAN.items() if k != "panel"}
-    two = {k: v for k, v in SCAN.items() if k != "camera"}
-    text = told(campaign(tmp_path, {"one": one, "two": two}))
+    text = told(campaign(tmp_path, {"one": without("panel"), "two": without("camera")}))
     assert "scans.one.panel: missing" in text
     assert "scans.two.camera: missing" in text
 
 
 def test_a_scan_alone_is_no_campaign(tmp_path):
     """Its points need a calibrated sensor."""
-    path = campaign(tmp_path, {"wreck": SCAN})
-    data = yaml.safe_load(path.read_text())
-    del data["logs"]["light_sheet"]["grid_images"]
-    path.write_text(yaml.safe_dump(data))
-    assert "logs.light_sheet.grid_images: missing" in told(path)
+    basin = {key: files for key, files in BASIN.items() if key != "grid_images"}
+    assert "logs.light_sheet.grid_images: missing" in told(campaign(tmp_path, {"wreck": SCAN}, basin))
