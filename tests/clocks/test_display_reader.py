@@ -59,13 +59,11 @@ def test_the_twins_photographs_are_read_or_left_out(series):
     assert found.kind == "white stamps"
 
 
-def dejavu(name: str) -> str:
+def dejavu(name):
     return str(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / f"{name}.ttf")
 
 
-def photographs(
-    folder: Path, texts: list[str], font: str, *, bright: bool = False, seed: int = 1
-) -> list[Path]:
+def photographs(folder, texts, font, *, bright=False, seed=1):
     """Photographs of a monitor in a room: a window with digits somewhere in a larger picture, seen askew."""
     rng = np.random.default_rng(seed)
     face = ImageFont.truetype(font, 60)
@@ -88,7 +86,7 @@ def photographs(
     return out
 
 
-def clock_texts(n: int, seed: int = 3, start: float = 50_000.0) -> tuple[list[str], np.ndarray]:
+def clock_texts(n, seed=3, start=50_000.0):
     rng = np.random.default_rng(seed)
     t = np.floor((start + np.arange(n) * 1.003 + 0.02 * rng.standard_normal(n)) * 100 + 0.5) / 100
     return [f"{int(s // 3600):02d}:{int(s // 60 % 60):02d}:{s % 60:05.2f}" for s in t], t
@@ -185,7 +183,7 @@ def test_the_sequence_only_rejects():
 # ---------------------------------------------------------------- stability
 
 
-def readings(rng: np.random.Generator, kind: str, n: int = 1000) -> np.ndarray:
+def readings(rng, kind, n=1000):
     """Readings of a display of 100 Hz, a tenth of them lost."""
     stamp = {"white": 0.023 / np.sqrt(2), "wander": 0.0, "both": 0.015}[kind]
     wander = {"white": 0.0, "wander": 0.023, "both": 0.012}[kind]

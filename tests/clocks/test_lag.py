@@ -5,15 +5,16 @@ import pandas as pd
 import pytest
 from scipy.stats import chi2
 
+from tests.core.conftest import FRAME
 from thalweg.clocks import Lag, ins_position_lag
 from thalweg.clocks.streams import LIMIT_S, stream_lag
-from thalweg.core import GeometryError, LocalFrame, roll_pitch_heading, rotation_enu_body
+from thalweg.core import GeometryError, roll_pitch_heading, rotation_enu_body
 from thalweg_lab.random_numbers import gauss_markov
 
 SEEDS = 24
 
 
-def velocity(rng: np.random.Generator, t: np.ndarray, scale: float = 3.0) -> np.ndarray:
+def velocity(rng, t, scale=3.0):
     """A boat that zigzags, rolls and heaves; periods from 0.8 s."""
     v = np.column_stack([0.4 + 0 * t, np.cos(2 * np.pi / 50 * t + 1), 0 * t])
     for axis, amplitude, period in ((0, 0.006, 1.7), (1, 0.012, 2.1), (2, 0.020, 2.6)):
@@ -23,7 +24,7 @@ def velocity(rng: np.random.Generator, t: np.ndarray, scale: float = 3.0) -> np.
     return v
 
 
-def noise(rng: np.random.Generator, kind: str, n: int) -> np.ndarray:
+def noise(rng, kind, n):
     blue = np.diff(rng.normal(0, 0.01, (n + 1, 3)), axis=0) * 10
     red = np.column_stack([gauss_markov(rng, n, 0.1, 0.04, 3.0) for _ in range(3)])
     return {"blue": blue, "red": red, "both": blue + red}[kind]
@@ -103,50 +104,38 @@ def test_what_is_significant():
     assert not Lag(offset_s=0.9 * LIMIT_S, sigma_s=1e-4, n=100).significant
 
 
-FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
 LEVER = np.array([0.3, -0.2, -0.8])
 
 
-def survey(offset_s: float, seed: int = 0) -> tuple[pd.DataFrame, pd.DataFrame]:
+def by_ins(states, positions, lever=LEVER):
+    return ins_position_lag(states, positions, FRAME, lever_ics_antenna_m=lever)
+
+
+def survey(offset_s):
     """INS at 50 Hz and antenna positions at 10 Hz whose stamps are late; the antenna swings with the roll."""
 
-    def pose(s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def pose(s):
         position = np.column_stack([0.4 * s, 4 * np.sin(0.2 * s), 0.03 * np.sin(2.4 * s)])
         speed = np.column_stack([0.4 + 0 * s, 0.8 * np.cos(0.2 * s), 0.072 * np.cos(2.4 * s)])
         return position, speed, rotation_enu_body(0.05 * np.sin(3 * s), 0.03 * np.sin(3.6 * s), 0.1 * s)
 
-    rng = np.random.default_rng(seed)
-    s = np.arange(0, 60, 0.02)
+    def table(t, position, **more):
+        places = dict(zip(("lat_deg", "lon_deg", "h_ell_m"), FRAME.to_geodetic(position), strict=True))
+        return pd.DataFrame({"t_gps_s": 4e8 + t, **places, **more})
+
+    s, t = np.arange(0, 60, 0.02), np.arange(2, 58, 0.1)
     position, speed, R = pose(s)
-    lat, lon, h = FRAME.to_geodetic(position)
-    roll, pitch, heading = roll_pitch_heading(R)
-    states = pd.DataFrame(
-        {
-            "t_gps_s": 4e8 + s,
-            "lat_deg": lat,
-            "lon_deg": lon,
-            "h_ell_m": h,
-            "v_east_mps": speed[:, 0],
-            "v_north_mps": speed[:, 1],
-            "v_down_mps": -speed[:, 2],
-            "roll_rad": roll,
-            "pitch_rad": pitch,
-            "heading_rad": heading,
-        }
-    )
-    t = np.arange(2, 58, 0.1)
+    velocity = {"v_east_mps": speed[:, 0], "v_north_mps": speed[:, 1], "v_down_mps": -speed[:, 2]}
+    names = ("roll_rad", "pitch_rad", "heading_rad")
+    states = table(s, position, **velocity, **dict(zip(names, roll_pitch_heading(R), strict=True)))
     position, _, R = pose(t - offset_s)
-    lat, lon, h = FRAME.to_geodetic(position + R @ LEVER + rng.normal(0, 0.005, (len(t), 3)))
-    positions = pd.DataFrame(
-        {"t_gps_s": 4e8 + t, "lat_deg": lat, "lon_deg": lon, "h_ell_m": h, "fix": "fixed"}
-    )
-    return states, positions
+    noise = np.random.default_rng(0).normal(0, 0.005, (len(t), 3))
+    return states, table(t, position + R @ LEVER + noise, fix="fixed")
 
 
 @pytest.mark.parametrize("offset_s", [-0.1, 0.0, 0.04])
 def test_late_positions_are_found_from_the_ins(offset_s):
-    states, positions = survey(offset_s)
-    lag = ins_position_lag(states, positions, FRAME, lever_ics_antenna_m=LEVER)
+    lag = by_ins(*survey(offset_s))
     assert lag.sigma_s < 0.005
     assert abs(lag.offset_s - offset_s) < 4 * lag.sigma_s
     assert lag.significant == (offset_s != 0)
@@ -154,13 +143,10 @@ def test_late_positions_are_found_from_the_ins(offset_s):
 
 def test_the_lever_arm_matters():
     """Without it the roll of the antenna is missing from the INS's velocity: the residuals say so."""
-    states, positions = survey(0.0)
-    right = ins_position_lag(states, positions, FRAME, lever_ics_antenna_m=LEVER)
-    wrong = ins_position_lag(states, positions, FRAME, lever_ics_antenna_m=np.zeros(3))
+    right, wrong = (by_ins(*survey(0.0), lever) for lever in (LEVER, np.zeros(3)))
     assert wrong.sigma_s > 2 * right.sigma_s
 
 
 def test_without_velocities_there_is_no_offset():
     states, positions = survey(0.0)
-    states["v_east_mps"] = np.nan
-    assert np.isnan(ins_position_lag(states, positions, FRAME, lever_ics_antenna_m=LEVER).offset_s)
+    assert np.isnan(by_ins(states.assign(v_east_mps=np.nan), positions).offset_s)

@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
-from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -14,8 +13,6 @@ from thalweg.clocks import OffsetOptions
 from thalweg.clocks.camera_offset import (
     NAMES,
     TURN_NAMES,
-    OffsetFit,
-    OffsetModel,
     OffsetState,
     Stacked,
     _known,
@@ -32,7 +29,7 @@ R_0 = Rotation.from_euler("xyz", [0.4, -0.7, 1.9]).as_matrix()
 """Turn from camera to INS about which the observations are linear."""
 
 
-def random_covariance(rng: np.random.Generator, n: int, sigma: float) -> ArrayF:
+def random_covariance(rng, n, sigma):
     root = 0.3 * rng.standard_normal((n, n)) / np.sqrt(n) + np.diag(rng.uniform(0.5, 1.5, n))
     return np.asarray(sigma**2 * root @ root.T)
 
@@ -47,7 +44,7 @@ class Linear:
     calls: int = 0
     restless_s: float = 0.0
 
-    def __post_init__(self) -> None:
+    def __post_init__(self):
         rng = np.random.default_rng(17 + self.attitude)
         m = N * 3 * (1 + self.attitude)
         slow = ("slow_roll_1", "slow_pitch_1", "slow_heading_1")
@@ -80,40 +77,40 @@ class Linear:
             else None
         )
 
-    def times(self, state: OffsetState) -> ArrayF:
+    def times(self, state):
         t = self.poses.t_device_s
         return np.asarray(t + state.offset_s + state.drift * (t - self.reference_s))
 
-    def unknowns(self, state: OffsetState) -> ArrayF:
+    def unknowns(self, state):
         turn = Rotation.from_matrix(state.R_ics_ccs @ R_0.T).as_rotvec()
         x = [state.offset_s, state.drift, *state.lever_m]
         return np.array([*x, *turn, *state.slow] if self.attitude else x)
 
-    def observe(self, state: OffsetState) -> Stacked:
+    def observe(self, state):
         self.calls += 1
         residual = self.J @ self.unknowns(state) - self.y + self.restless_s * self.calls * self.motion
-        between = cast(Any, SimpleNamespace(t_gps_s=self.times(state)))
+        between = SimpleNamespace(t_gps_s=self.times(state))
         return Stacked(
             residual=residual, jacobian=self.J, motion=self.motion, image=self.image, between=between
         )
 
-    def covariance(self, state: OffsetState, between: object) -> ArrayF:
+    def covariance(self, state, between):
         return self.V
 
     @property
-    def effects(self) -> ArrayF:
+    def effects(self):
         Z = np.zeros((len(self.y), N))
         for row, image in enumerate(self.image):
             Z[row, image] = self.motion[row]
         return Z
 
 
-def start(model: Linear) -> OffsetState:
+def start(model):
     return OffsetState(offset_s=0.0, drift=0.0, lever_m=np.zeros(3))
 
 
-def fitted(model: Linear, options: OffsetOptions) -> OffsetFit:
-    return fit_offset(cast(OffsetModel, model), start(model), options)
+def fitted(model, options):
+    return fit_offset(model, start(model), options)
 
 
 LEVER = np.array([0.25, -0.05, 0.6])
@@ -126,7 +123,7 @@ OPTIONS = {
 }
 
 
-def knowledge(options: OffsetOptions, u: int) -> tuple[ArrayF, ArrayF]:
+def knowledge(options, u):
     """Weights (u, u) of what is known beforehand, and weights times values (u,)."""
     W, w = np.zeros((u, u)), np.zeros(u)
     W[1, 1] = options.sigma_drift**-2
@@ -136,7 +133,7 @@ def knowledge(options: OffsetOptions, u: int) -> tuple[ArrayF, ArrayF]:
     return W, w
 
 
-def projector(A: ArrayF, V: ArrayF) -> ArrayF:
+def projector(A, V):
     W = np.linalg.inv(V)
     return np.asarray(W - W @ A @ np.linalg.inv(A.T @ W @ A) @ A.T @ W)
 
@@ -303,7 +300,7 @@ def test_what_is_known_beforehand():
 
 def test_the_turn_between_ins_and_camera_is_set_once():
     """It starts as the mean of what both say; a state that is oriented keeps its own, and its slow errors."""
-    seen: list[OffsetState] = []
+    seen = []
     turn = np.array([0.02, -0.01, 0.03])
     model = Linear(True, turn=turn)
     observe = model.observe
@@ -322,7 +319,7 @@ def test_the_turn_between_ins_and_camera_is_set_once():
     }
     for state, R, slow in other.values():
         seen.clear()
-        fit_offset(cast(OffsetModel, model), state, OPTIONS["held jitter"])
+        fit_offset(model, state, OPTIONS["held jitter"])
         assert_allclose(seen[0].R_ics_ccs, R, atol=1e-12)
         assert_array_equal(seen[0].slow, np.full(3, slow))
         assert seen[0].oriented

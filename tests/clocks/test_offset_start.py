@@ -1,7 +1,7 @@
 """First value of a camera's offset, and what its estimate takes from INS and track: by hand."""
 
+from dataclasses import replace
 from types import SimpleNamespace
-from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ from thalweg.clocks.camera_offset import (
 from thalweg.core import ClockError, CoverageError, exp_rotation, rotation_enu_body, rotation_opk
 
 
-def track(t: np.ndarray, x: np.ndarray | None = None) -> Track:
+def track(t, x=None):
     """Positions with x = t^2 / 10 and y = 5, unless stated."""
     t = np.asarray(t, dtype=np.float64)
     x = t**2 / 10 if x is None else x
@@ -28,7 +28,7 @@ def track(t: np.ndarray, x: np.ndarray | None = None) -> Track:
     return Track(t_gps_s=t, position_m=place, cov_m2=np.tile(1e-4 * np.eye(3), (len(t), 1, 1)))
 
 
-def poses(stamp: np.ndarray, centre: np.ndarray, R: np.ndarray | None = None) -> CameraPoses:
+def poses(stamp, centre, R=None):
     n = len(stamp)
     return CameraPoses(
         file=np.array([f"{i}.jpg" for i in range(n)], dtype=object),
@@ -39,11 +39,23 @@ def poses(stamp: np.ndarray, centre: np.ndarray, R: np.ndarray | None = None) ->
     )
 
 
-def boat(stamp: np.ndarray, offset_s: float, lever_m: tuple[float, float, float]) -> CameraPoses:
+def boat(stamp, offset_s, lever_m):
     """A camera that looks as wcs does, with the antenna at ``lever_m``."""
     t = np.asarray(stamp) + offset_s
     antenna = np.column_stack([t**2 / 10, np.full(len(t), 5.0), 0.0 * t])
     return poses(stamp, antenna - lever_m)
+
+
+def run_of_twenty(offset_s=0.0, lever_m=(0.3, -0.2, -0.1)):
+    return boat(np.arange(5.0, 25.0), offset_s, lever_m)
+
+
+LONG = np.arange(0.0, 40.0, 0.1)
+
+
+def start_of(run, t=LONG, largest_offset_s=2.0, largest_lever_m=1.0):
+    limits = {"largest_offset_s": largest_offset_s, "largest_lever_m": largest_lever_m}
+    return find_start(run, track(t), **limits)
 
 
 def test_the_antenna_is_seen_in_the_frame_of_the_camera():
@@ -91,9 +103,9 @@ def test_the_best_offset_has_an_antenna_that_is_near_enough():
 @pytest.mark.parametrize("offset_s", [-1.37, 0.0, 1.42])
 def test_the_start_by_hand(offset_s):
     """Twenty images, one of them 0.5 m off."""
-    run = boat(np.arange(5.0, 25.0), offset_s, (0.3, -0.2, -0.1))
+    run = run_of_twenty(offset_s)
     run.centre_wcs_m[4] += [0.0, 0.0, 0.5]
-    found = find_start(run, track(np.arange(0.0, 40.0, 0.1)), largest_offset_s=2.0, largest_lever_m=1.0)
+    found = start_of(run)
     assert found.offset_s == pytest.approx(offset_s, abs=2e-3)
     # 2 ms at up to 5 m/s
     assert_allclose(found.lever_m, [0.3, -0.2, -0.1], atol=0.01)
@@ -102,20 +114,19 @@ def test_the_start_by_hand(offset_s):
     assert found.overlapping == 20
 
 
-def test_the_end_of_the_search():
+@pytest.mark.parametrize("sign", [1, -1])
+def test_the_end_of_the_search(sign):
     """One and a half steps of 0.1 s before either end."""
-    for offset_s, end in ((1.84, False), (1.86, True), (-1.84, False), (-1.86, True)):
-        assert at_the_end(cast(Any, SimpleNamespace(offset_s=offset_s)), 2.0) is end
+    near, far = (SimpleNamespace(offset_s=sign * offset_s) for offset_s in (1.84, 1.86))
+    assert (at_the_end(near, 2.0), at_the_end(far, 2.0)) == (False, True)
 
 
 @pytest.mark.parametrize(("extra_s", "shift_s"), [(1.4, 7201.5), (-1.4, 7198.5)])
 def test_a_shift_by_hours_is_named_with_its_rest(extra_s, shift_s):
     """The camera's clock is two hours early and some seconds off: looked for in steps of 0.5 s."""
-    t0 = 3.0e8
-    t = np.arange(0.0, 40.0, 0.1)
-    run = boat(np.arange(5.0, 25.0), 0.0, (0.3, -0.2, -0.1))
+    t0, run = 3.0e8, run_of_twenty()
     moved = poses(run.t_device_s + t0 - 7200.0 - extra_s, run.centre_wcs_m)
-    there = Track(t_gps_s=t + t0, position_m=track(t).position_m, cov_m2=track(t).cov_m2)
+    there = replace(track(LONG), t_gps_s=LONG + t0)
     error = _apart(moved, there, 2.0, 1.0)
     assert isinstance(error, ClockError)
     assert f"shifted by {shift_s:+.1f} s" in error.found
@@ -134,12 +145,8 @@ def test_an_antenna_that_would_wander_is_another_run():
     t0 = 3.0e8
     stamp = np.r_[np.arange(15.0), np.arange(30.0, 71.0, 10.0)]
     t = np.arange(-5.0, 80.0, 0.1)
-    there = Track(
-        t_gps_s=t + t0,
-        position_m=np.column_stack([t - 9.5, 0.0 * t, 0.0 * t]),
-        cov_m2=np.tile(1e-4 * np.eye(3), (len(t), 1, 1)),
-    )
-    error = _apart(poses(stamp + t0 - 7200.0, np.zeros((20, 3))), there, 2.0, 1.0)
+    there = replace(track(t, t - 9.5), t_gps_s=t + t0)
+    error = _apart(poses(stamp + t0 - 7200.0, np.tile([0.0, 5.0, 0.0], (20, 1))), there, 2.0, 1.0)
     assert "wander by 5.0 m on the boat" in error.found
     assert "the same run" in error.cure
 
@@ -152,20 +159,13 @@ def test_images_of_another_day_have_no_shift():
 
 
 def test_too_few_images_are_told_by_their_number():
-    run = boat(np.arange(5.0, 25.0), 0.0, (0.0, 0.0, 0.0))
-    t = np.arange(0.0, 40.0, 0.1)
+    run = run_of_twenty(lever_m=(0.0, 0.0, 0.0))
     with pytest.raises(ClockError, match="7 images with a pose"):
-        find_start(run.take(np.arange(7)), track(t), largest_offset_s=2.0, largest_lever_m=1.0)
-    holes = t[(t % 10) < 1]
+        start_of(run.take(np.arange(7)))
     with pytest.raises(CoverageError, match="of 20 images lie where positions are complete"):
-        find_start(run, track(holes), largest_offset_s=0.2, largest_lever_m=1.0)
+        start_of(run, LONG[(LONG % 10) < 1], largest_offset_s=0.2)
     with pytest.raises(ClockError, match=r"within 0\.5 m of the camera"):
-        find_start(
-            boat(np.arange(5.0, 25.0), 0.0, (0.0, 0.0, 3.0)),
-            track(t),
-            largest_offset_s=1.0,
-            largest_lever_m=0.5,
-        )
+        start_of(run_of_twenty(lever_m=(0.0, 0.0, 3.0)), largest_offset_s=1.0, largest_lever_m=0.5)
 
 
 # ---------------------------------------------------------------- attitudes of the INS
@@ -173,7 +173,7 @@ def test_too_few_images_are_told_by_their_number():
 RATE = np.array([0.02, -0.03, 0.4])
 
 
-def ins(**changed: Any) -> InsAttitude:
+def ins(**changed):
     """Turns with a steady angular velocity, from t = 0 to 10 s each 0.05 s."""
     t = np.arange(0.0, 10.001, 0.05)
     R = np.stack([exp_rotation(RATE * s) for s in t])
@@ -196,11 +196,8 @@ def test_a_steady_turn_has_its_attitude_and_rate():
 def test_covariance_of_attitudes_by_hand():
     """Level and northward: heading about -z, pitch about x or y, roll about the other; e^-1 after 20 s."""
     t = np.arange(0.0, 40.001, 0.05)
-    level = InsAttitude(
-        t_gps_s=t,
-        R_wcs_ics=np.tile(rotation_enu_body(np.zeros(1), np.zeros(1), np.zeros(1)), (len(t), 1, 1)),
-        sigma_rad=np.array([1e-3, 1e-3, 3e-3]),
-    )
+    R = np.tile(rotation_enu_body(0.0, 0.0, 0.0), (len(t), 1, 1))
+    level = ins(t_gps_s=t, R_wcs_ics=R, sigma_rad=np.array([1e-3, 1e-3, 3e-3]))
     times = np.array([10.0, 30.0])
     one = np.diag([1e-6, 1e-6, 9e-6])
     assert_allclose(level.covariance(times), np.block([[one, one / np.e], [one / np.e, one]]), atol=1e-15)

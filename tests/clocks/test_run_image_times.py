@@ -23,41 +23,30 @@ T0 = 3.0e8
 OFFSET_S = 712.25
 
 
-def stamps_of(t_device_s: np.ndarray) -> pd.DataFrame:
+def stamps_of(t_device_s):
     n = len(t_device_s)
-    return frame_of(
-        IMAGE_STAMPS,
-        {
-            "file": [f"R{i:02d}.jpg" for i in range(n)],
-            "t_device_s": t_device_s,
-            "source": ["name"] * n,
-            "resolution_s": np.full(n, 1e-3),
-            "width": np.full(n, 10),
-            "height": np.full(n, 10),
-            "make": [""] * n,
-            "model": [""] * n,
-            "focal_mm": np.full(n, np.nan),
-        },
-    )
+    same = {"source": "name", "resolution_s": 1e-3, "width": 10, "height": 10, "make": "", "model": ""}
+    rows = {name: [value] * n for name, value in (same | {"focal_mm": np.nan}).items()}
+    files = [f"R{i:02d}.jpg" for i in range(n)]
+    return frame_of(IMAGE_STAMPS, rows | {"file": files, "t_device_s": t_device_s})
 
 
-def pulses() -> np.ndarray:
+def pulses():
     step = np.ones(40)
     step[[11, 26]] = (3.4, 2.7)
     return T0 + np.cumsum(step)
 
 
-def run(rng: np.random.Generator) -> tuple[pd.DataFrame, np.ndarray]:
+def run():
     """40 images, stamps with 20 ms jitter: pulse 5 made none, image 20 is by hand, the last has no stamp."""
-    pulse = np.delete(pulses(), 5)
-    t = np.insert(pulse - OFFSET_S + 0.02 * rng.standard_normal(39), 20, pulse[19] + 0.5 - OFFSET_S)
-    truth = np.insert(pulse, 20, np.nan)
+    pulse, jitter = np.delete(pulses(), 5), 0.02 * np.random.default_rng(4).standard_normal(39)
+    t = np.insert(pulse - OFFSET_S + jitter, 20, pulse[19] + 0.5 - OFFSET_S)
     t[-1] = np.nan
-    return stamps_of(t), truth
+    return stamps_of(t), np.insert(pulse, 20, np.nan)
 
 
 def test_an_image_takes_the_time_of_its_pulse():
-    stamps, truth = run(np.random.default_rng(4))
+    stamps, truth = run()
     clock, table, facts = triggered_images(stamps, pulses(), delay_s=0.003, jitter_s=2e-4)
     matched = table["matched"].to_numpy()
     assert np.flatnonzero(~matched).tolist() == [20, 39]
@@ -78,7 +67,7 @@ def test_an_image_takes_the_time_of_its_pulse():
 
 
 def test_a_trigger_without_stated_jitter_has_none_and_says_so():
-    stamps, _ = run(np.random.default_rng(4))
+    stamps, _ = run()
     clock, table, _ = triggered_images(stamps, pulses())
     assert clock.jitter_s == 0.0
     assert (table["sigma_s"][table["matched"]] == 0.0).all()
@@ -86,7 +75,7 @@ def test_a_trigger_without_stated_jitter_has_none_and_says_so():
 
 
 def test_images_that_share_a_stamp_find_no_pulse():
-    stamps, _ = run(np.random.default_rng(4))
+    stamps, _ = run()
     stamps.loc[8, "t_device_s"] = stamps.loc[7, "t_device_s"]
     table = triggered_images(stamps, pulses())[1]
     assert not table["matched"][[7, 8]].any()
@@ -94,7 +83,7 @@ def test_images_that_share_a_stamp_find_no_pulse():
 
 
 def test_the_report_of_times_says_how_many_images_have_them_and_how_good_they_are(tmp_path):
-    stamps, _ = run(np.random.default_rng(4))
+    stamps, _ = run()
     _, table, _ = triggered_images(stamps, pulses(), jitter_s=2e-4)
     write_table(tmp_path / "times.parquet", table, RUN_IMAGE_TIMES)
     words = image_times_words(read_run_image_times(tmp_path / "times.parquet"))
@@ -126,7 +115,7 @@ def script():
 @pytest.fixture
 def job(tmp_path):
     """Keywords of the script, for a run with ties."""
-    write_table(tmp_path / "stamps.parquet", run(np.random.default_rng(4))[0], IMAGE_STAMPS)
+    write_table(tmp_path / "stamps.parquet", run()[0], IMAGE_STAMPS)
     tie = T0 - OFFSET_S
     (tmp_path / "ties.csv").write_text(
         f"t_device_s,t_gps_s,sigma_s\n{tie},{T0},0.005\n{tie + 60},{T0 + 60},0.005\n"

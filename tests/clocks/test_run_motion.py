@@ -9,7 +9,7 @@ from thalweg.clocks.camera_offset import RunMotion, run_motion
 from thalweg.core import rotation_opk
 
 
-def motion(**changed: float) -> RunMotion:
+def motion(**changed):
     values = {
         "speed_mps": 1.0,
         "speed_change_mps": 0.3,

@@ -12,7 +12,7 @@ from thalweg.ingest import Gap, IntegrityReport, StreamTiming
 T0 = float(gps_from_unix(1_620_808_267))  # 2021-05-12T08:31:07Z
 
 
-def report(stream: str, first: float | None, last: float | None, **more: object) -> IntegrityReport:
+def report(stream, first, last, **more):
     """A synchronised stream between seconds after `T0`; every field can be replaced."""
     facts = {
         "format": f"{stream} format",
@@ -26,6 +26,21 @@ def report(stream: str, first: float | None, last: float | None, **more: object)
     return IntegrityReport(stream=stream, **facts)
 
 
+TIMING = {
+    "period_s": 0.0013271,
+    "jitter_s": 1e-6,
+    "jitter_max_s": 2e-5,
+    "resolution_s": 1e-6,
+    "clock": "host",
+    "clock_offset_s": 0.4,
+    "sigma_clock_offset_s": 1e-4,
+    "clock_drift_ppm": 3.0,
+    "sigma_clock_drift_ppm": 0.5,
+    "pps_locked_share": 0.9,
+    "pps_unlocked_start_s": 2.5,
+    "pps_losses": 1,
+    "unsynchronised_s": 2.6,
+}
 COLUMNS = [
     "stream",
     "format",
@@ -38,20 +53,9 @@ COLUMNS = [
     "last_utc",
     "duration_s",
     "rate_hz",
-    "period_s",
-    "jitter_s",
-    "jitter_max_s",
-    "resolution_s",
-    "clock",
-    "clock_offset_s",
-    "sigma_clock_offset_s",
-    "clock_drift_ppm",
-    "sigma_clock_drift_ppm",
+    *list(TIMING)[:9],
     "clock_set_s",
-    "pps_locked_share",
-    "pps_unlocked_start_s",
-    "pps_losses",
-    "unsynchronised_s",
+    *list(TIMING)[9:],
     "lag_against",
     "lag_s",
     "sigma_lag_s",
@@ -90,41 +94,12 @@ def test_a_row_tells_all_about_a_synchronised_stream():
 
 
 def test_the_clock_and_the_offset_to_another_stream_stand_in_the_row(tmp_path):
-    timing = StreamTiming(
-        period_s=0.0013271,
-        jitter_s=1e-6,
-        jitter_max_s=2e-5,
-        resolution_s=1e-6,
-        clock="host",
-        clock_offset_s=0.4,
-        sigma_clock_offset_s=1e-4,
-        clock_drift_ppm=3.0,
-        sigma_clock_drift_ppm=0.5,
-        pps_locked_share=0.9,
-        pps_unlocked_start_s=2.5,
-        pps_losses=1,
-        unsynchronised_s=2.6,
-    )
+    timing = StreamTiming(**TIMING)
     streams = [report("lidar", 0.0, 25.0, timing=timing), report("positions", 0.0, 25.0, rates_hz={"p": 4.0})]
     lag = Lag(offset_s=0.04, sigma_s=0.003, n=250)
     stream_table(streams, {"positions": ("ins", lag)}).to_csv(tmp_path / "streams.csv", index=False)
     lidar, positions = pd.read_csv(tmp_path / "streams.csv").to_dict("records")
-    for name in (
-        "period_s",
-        "jitter_s",
-        "jitter_max_s",
-        "resolution_s",
-        "clock",
-        "clock_offset_s",
-        "sigma_clock_offset_s",
-        "clock_drift_ppm",
-        "sigma_clock_drift_ppm",
-        "pps_locked_share",
-        "pps_unlocked_start_s",
-        "pps_losses",
-        "unsynchronised_s",
-    ):
-        assert lidar[name] == getattr(timing, name), name
+    assert {name: lidar[name] for name in TIMING} == TIMING
     assert np.isnan(lidar["lag_s"])
     assert (positions["lag_against"], positions["lag_s"], positions["sigma_lag_s"]) == ("ins", 0.04, 0.003)
     assert positions["lag_significant"]
@@ -201,17 +176,9 @@ def test_the_common_span_is_the_overlap_of_the_needed_streams():
 
 
 LIDAR = report("lidar", 0.0, 25.0)
-FREE = report(
-    "ins",
-    None,
-    None,
-    synchronised=False,
-    time_scale="device",
-    t_first_s=T0,
-    t_last_s=T0 + 25.0,
-    files=["a.anpp", "b.anpp"],
-    notes=["UTC was never initialised.", "Clock of 1970."],
-)
+UNSYNCHRONISED = {"synchronised": False, "time_scale": "device"}
+NOTES = ["UTC was never initialised.", "Clock of 1970."]
+FREE = report("ins", 0.0, 25.0, files=["a.anpp", "b.anpp"], notes=NOTES, **UNSYNCHRONISED)
 
 
 @pytest.mark.parametrize(
@@ -258,17 +225,8 @@ def test_the_smallest_overlap_is_enough():
 
 def test_a_hole_before_the_clock_was_set_has_no_time(tmp_path):
     """A packet that is lost while the lidar runs freely: the hole is counted, its place is not known."""
-    report = IntegrityReport(
-        stream="lidar",
-        format="pcap",
-        files=["a"],
-        time_scale="utc",
-        synchronised=True,
-        t_first_s=3.0e8,
-        t_last_s=3.0e8 + 25,
-    )
-    report.gaps = [Gap(t_start_s=float("nan"), duration_s=0.1), Gap(t_start_s=3.0e8 + 5, duration_s=0.2)]
-    report.write(tmp_path / "lidar.integrity.json")
+    gaps = [Gap(t_start_s=float("nan"), duration_s=0.1), Gap(t_start_s=T0 + 5, duration_s=0.2)]
+    report("lidar", 0.0, 25.0, gaps=gaps).write(tmp_path / "lidar.integrity.json")
     again = IntegrityReport.read(tmp_path / "lidar.integrity.json")
     text = stream_table([again])["gaps"].iloc[0]
     assert text.startswith("before the clock was set +0.100 s | ")

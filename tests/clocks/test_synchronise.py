@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
+from numpy.testing import assert_allclose
 
 from thalweg.clocks.synchronise import _numbers
 
@@ -31,4 +32,4 @@ def test_every_number_of_a_run_stands_under_its_name():
         "sigma0_squared": 1.1, "images_used": 2,
     }  # fmt: skip
     assert list(found) == list(expected)
-    np.testing.assert_allclose(list(found.values()), list(expected.values()), rtol=1e-12)
+    assert_allclose(list(found.values()), list(expected.values()), rtol=1e-12)

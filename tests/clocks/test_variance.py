@@ -29,6 +29,19 @@ def test_effects_shared_by_two_observations():
     assert found.sigma_variance == pytest.approx(np.sqrt(2 / 4) * 10, rel=1e-4)
 
 
+def test_a_component_solves_the_equation_of_restricted_likelihood():
+    """``y' P K P y = tr P K`` with ``K = Z Z'``, sigma from the expected information ``tr (P K)^2 / 2``."""
+    rng = np.random.default_rng(4)
+    Z = np.kron(np.eye(80), np.ones((3, 1))) * rng.uniform(0.5, 2.0, (240, 1))
+    A, V = rng.standard_normal((240, 4)), np.diag(rng.uniform(0.1, 0.4, 240))
+    y = A @ [3.0, -1.0, 2.0, 0.5] + Z @ (0.7 * rng.standard_normal(80)) + 0.5 * rng.standard_normal(240)
+    found, K = estimate_component(y, A, Z, V), Z @ Z.T
+    W = np.linalg.inv(V + found.variance * K)
+    P = W - W @ A @ np.linalg.solve(A.T @ W @ A, A.T @ W)
+    assert y @ P @ K @ P @ y == pytest.approx(np.trace(P @ K), rel=1e-4)
+    assert found.sigma_variance == pytest.approx(np.sqrt(2 / np.trace(P @ K @ P @ K)), rel=1e-4)
+
+
 def test_noise_that_explains_all_leaves_no_effect():
     """``sigma`` of an estimate at zero is the root of that of the variance: an upper end."""
     y = np.array([0.5, -0.5, 0.5, -0.5, 0.0])

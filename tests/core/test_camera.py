@@ -22,7 +22,7 @@ FISHEYE = Camera(
 CAMERAS = [BROWN, FISHEYE]
 
 
-def directions(camera: Camera, n: int = 200) -> np.ndarray:
+def directions(camera, n=200):
     """Points in view: up to 35 degrees for the perspective lens, up to 100 degrees for the fisheye."""
     rng = np.random.default_rng(5)
     angle = np.radians(35.0 if camera.model == "perspective" else 100.0) * np.sqrt(rng.uniform(0, 1, n))
@@ -31,17 +31,14 @@ def directions(camera: Camera, n: int = 200) -> np.ndarray:
     return ray * rng.uniform(0.5, 30.0, (n, 1))
 
 
-def opencv(camera: Camera, points: np.ndarray) -> np.ndarray:
+def opencv(camera, points):
     fx, fy, cx, cy = camera.parameters[:4]
     # OpenCV counts pixels from the centre of the first one
     K = np.array([[fx, 0, cx - 0.5], [0, fy, cy - 0.5], [0, 0, 1.0]])
     zero = np.zeros(3)
-    if camera.model == "perspective":
-        return cv2.projectPoints(points, zero, zero, K, camera.parameters[4:])[0].reshape(-1, 2) + 0.5
-    return (
-        cv2.fisheye.projectPoints(points[:, None], zero, zero, K, camera.parameters[4:])[0].reshape(-1, 2)
-        + 0.5
-    )
+    of = cv2 if camera.model == "perspective" else cv2.fisheye
+    pixels, _ = of.projectPoints(points[:, None], zero, zero, K, camera.parameters[4:])
+    return pixels.reshape(-1, 2) + 0.5
 
 
 @pytest.mark.parametrize("camera", CAMERAS, ids=lambda c: c.model)
@@ -72,11 +69,9 @@ def test_derivatives_by_points_and_parameters(camera):
         numeric = (camera.project(points + step) - camera.project(points - step)) / (2 * h[:, None])
         # central differences: their cut-off error is 1e-10 relative, their rounding 1e-12 px / 1e-5
         assert_allclose(by_point[:, :, axis], numeric, rtol=1e-5, atol=1e-3)
-    for k in range(len(camera.parameters)):
+    for k, one in enumerate(np.eye(len(camera.parameters))):
         h_k = 1e-3 if k < 4 else 1e-6
-        p = [camera.parameters.copy() for _ in range(2)]
-        p[0][k] += h_k
-        p[1][k] -= h_k
+        p = camera.parameters + np.outer([h_k, -h_k], one)
         plus, minus = (camera.with_parameters(q).project(points) for q in p)
         # linear in every parameter: only rounding, 1e-12 px / 1e-6
         assert_allclose(by_parameters[:, :, k], (plus - minus) / (2 * h_k), rtol=1e-6, atol=1e-4)
@@ -114,16 +109,10 @@ def test_what_cannot_be_imaged_is_nan():
 
 
 def test_inside():
-    assert BROWN.inside(np.array([[0.0, 0.0], [4592.0, 3448.0], [-1.0, 5.0], [np.nan, 5.0]])).tolist() == [
-        True,
-        True,
-        False,
-        False,
-    ]
-    edges = np.array(
-        [[9.9, 50.0], [10.0, 50.0], [4582.0, 3438.0], [4582.1, 50.0], [50.0, 3438.1], [50.0, 9.9]]
-    )
-    assert BROWN.inside(edges, 10.0).tolist() == [False, True, True, False, False, False]
+    within = np.array([[0.0, 0.0], [4592.0, 3448.0], [-1.0, 5.0], [np.nan, 5.0]])
+    assert BROWN.inside(within).tolist() == [True, True, False, False]
+    edges = [[9.9, 50.0], [10.0, 50.0], [4582.0, 3438.0], [4582.1, 50.0], [50.0, 3438.1], [50.0, 9.9]]
+    assert BROWN.inside(np.array(edges), 10.0).tolist() == [False, True, True, False, False, False]
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ import pytest
 from thalweg.core import InputError, final_path, parse_xml, read_json, read_marked, read_parquet, write_marked
 
 
-def read(path: Path) -> dict[str, object]:
+def read(path):
     return read_marked(
         path, "mounts", kind="places", version=2, what="places of a boat", cure="Make it again"
     )

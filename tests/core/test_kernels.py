@@ -6,7 +6,6 @@ import pwd
 import re
 import sys
 import time
-from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -58,7 +57,7 @@ def bench(tmp_path, monkeypatch):
     forget()
 
 
-def edit(tmp_path: Path, name: str, old: str, new: str) -> None:
+def edit(tmp_path, name, old, new):
     path = tmp_path / "bench" / name
     text = path.read_text()
     assert old in text

@@ -1,7 +1,5 @@
 """LAZ clouds: round trips, the header's statements, what is refused, damaged files."""
 
-from typing import Any
-
 import laspy
 import numpy as np
 import pytest
@@ -29,7 +27,13 @@ EXTRA = {
 }
 
 
-def columns(n: int, seed: int = 0) -> dict[str, Any]:
+def written(folder, *chunks, name="a.laz", **more):
+    """The path of a cloud in the local frame, with the extra dimensions."""
+    write_laz(folder / name, chunks, FRAME, **{"extra_dimensions": EXTRA, **more})
+    return folder / name
+
+
+def columns(n, seed=0):
     rng = np.random.default_rng(seed)
     n_returns = rng.integers(1, 3, n).astype(np.uint8)
     return {
@@ -72,8 +76,7 @@ def test_round_trip(tmp_path, scale_m, suffix):
 )
 def test_scales_and_offsets_that_no_cloud_has(tmp_path, at, value):
     """All points would lie in one place, or none anywhere."""
-    path = tmp_path / "a.las"
-    write_laz(path, [{"xyz_m": np.ones((10, 3))}], FRAME)
+    path = written(tmp_path, {"xyz_m": np.ones((10, 3))}, name="a.las", extra_dimensions={})
     data = bytearray(path.read_bytes())
     data[at : at + 8] = np.float64(value).tobytes()
     path.write_bytes(data)
@@ -83,8 +86,8 @@ def test_scales_and_offsets_that_no_cloud_has(tmp_path, at, value):
 
 
 def test_header_statements_as_laspy_reads_them(tmp_path):
-    path, given = tmp_path / "a.laz", columns(5000)
-    write_laz(path, [given], FRAME, extra_dimensions=EXTRA)
+    given = columns(5000)
+    path = written(tmp_path, given)
     with laspy.open(path) as reader:
         header = reader.header
         las = reader.read()
@@ -105,9 +108,8 @@ def test_header_statements_as_laspy_reads_them(tmp_path):
 
 
 def test_same_input_gives_the_same_bytes(tmp_path):
-    for name in ("a.laz", "b.laz"):
-        write_laz(tmp_path / name, [columns(60_000)], FRAME, extra_dimensions=EXTRA)
-    assert (tmp_path / "a.laz").read_bytes() == (tmp_path / "b.laz").read_bytes()
+    one, two = (written(tmp_path, columns(60_000), name=name) for name in ("a.laz", "b.laz"))
+    assert one.read_bytes() == two.read_bytes()
 
 
 @pytest.mark.parametrize("code", [25833, 32633, 9518])
@@ -132,8 +134,8 @@ def test_map_coordinates(tmp_path, code):
 
 def test_colours_make_format_7(tmp_path):
     rgb = np.array([[0, 128, 255], [1, 2, 3]], dtype=np.uint8)
-    write_laz(tmp_path / "a.laz", [{"xyz_m": np.zeros((2, 3)), "rgb": rgb}], FRAME)
-    found, header = read_laz(tmp_path / "a.laz")
+    path = written(tmp_path, {"xyz_m": np.zeros((2, 3)), "rgb": rgb}, extra_dimensions={})
+    found, header = read_laz(path)
     assert header.point_format == 7
     assert_array_equal(found["rgb"], rgb.astype(int) * 256)
 
@@ -153,11 +155,11 @@ def test_empty_cloud_is_a_valid_file(tmp_path):
 
 
 def test_an_error_leaves_the_old_file(tmp_path):
-    path = tmp_path / "a.laz"
-    write_laz(path, [columns(10)], FRAME, extra_dimensions=EXTRA)
+    path = written(tmp_path, columns(10))
     before = path.read_bytes()
+    chunks = [{"xyz_m": np.zeros((5, 3))}, {"xyz_m": np.full((5, 3), np.nan)}]
     with pytest.raises(GeometryError):
-        write_laz(path, [{"xyz_m": np.zeros((5, 3))}, {"xyz_m": np.full((5, 3), np.nan)}], FRAME)
+        written(tmp_path, *chunks, extra_dimensions={})
     assert path.read_bytes() == before
     assert [p.name for p in tmp_path.iterdir()] == ["a.laz"]
 
@@ -185,7 +187,7 @@ XYZ = np.zeros((3, 3))
 )
 def test_refused_points(tmp_path, calls, fragment):
     with pytest.raises(GeometryError, match=fragment) as caught:
-        write_laz(tmp_path / "a.laz", calls, FRAME)
+        written(tmp_path, *calls, extra_dimensions={})
     assert "a.laz" in str(caught.value)
     assert not list(tmp_path.iterdir())
 
@@ -200,12 +202,7 @@ def test_refused_points(tmp_path, calls, fragment):
 )
 def test_refused_extra_dimensions(tmp_path, extra, values, fragment):
     with pytest.raises(GeometryError, match=fragment):
-        write_laz(
-            tmp_path / "a.laz",
-            [{"xyz_m": XYZ, "extra": {next(iter(extra)): values}}],
-            FRAME,
-            extra_dimensions=extra,
-        )
+        written(tmp_path, {"xyz_m": XYZ, "extra": dict.fromkeys(extra, values)}, extra_dimensions=extra)
 
 
 @pytest.mark.parametrize("scale_m", [0.0, -0.001, 0.1, float("nan")])
@@ -216,8 +213,7 @@ def test_refused_scale(tmp_path, scale_m):
 
 @pytest.mark.parametrize("suffix", ["laz", "las"])
 def test_cut_file_is_no_whole_result(tmp_path, suffix):
-    path = tmp_path / f"a.{suffix}"
-    write_laz(path, [columns(1000)], FRAME, extra_dimensions=EXTRA)
+    path = written(tmp_path, columns(1000), name=f"a.{suffix}")
     path.write_bytes(path.read_bytes()[:-4000])
     assert laz_header(path).n_points == 1000
     with pytest.raises(InputError, match=r"a\.la"):
@@ -233,8 +229,7 @@ def test_cut_file_is_no_whole_result(tmp_path, suffix):
     ],
 )
 def test_damaged_facts(tmp_path, old, new, fragment):
-    path = tmp_path / "a.laz"
-    write_laz(path, [columns(10)], FRAME, extra_dimensions=EXTRA)
+    path = written(tmp_path, columns(10))
     raw = path.read_bytes()
     assert raw.count(old) == 1
     path.write_bytes(raw.replace(old, new))
@@ -254,8 +249,7 @@ def test_week_time_of_others_is_not_taken_for_gps_time(tmp_path):
 
 
 def test_fuzz_laz(tmp_path, fuzz, capfd):
-    source, path = tmp_path / "a.laz", tmp_path / "fuzz.laz"
-    write_laz(source, [columns(300)], FRAME, extra_dimensions=EXTRA)
+    source, path = written(tmp_path, columns(300)), tmp_path / "fuzz.laz"
     for data in fuzz.inputs(source.read_bytes(), most=1, longest=10, head=2200):
         path.write_bytes(data)
         try:

@@ -9,7 +9,7 @@ from thalweg.core.geometry import TriangleMesh
 from thalweg.core.geometry.mesh import NO_FACE
 
 
-def mesh_of(vertices: list[list[float]], faces: list[list[int]]) -> TriangleMesh:
+def mesh_of(vertices, faces):
     v = np.array(vertices, dtype=np.float64)
     return TriangleMesh(
         vertices_m=v, faces=np.array(faces, dtype=np.int64).reshape(-1, 3), sigma_m=np.zeros(len(v))
@@ -43,7 +43,7 @@ def test_neighbours_are_those_of_a_dictionary_of_edges(rng):
     faces = rng.integers(0, 30, (400, 3))
     faces[:200, 0] = 0
     faces = faces[[len(set(f)) == 3 for f in faces.tolist()]]
-    edges: dict[tuple[int, int], list[tuple[int, int]]] = {}
+    edges = {}
     for f, corners in enumerate(faces.tolist()):
         for k in range(3):
             edge = tuple(sorted((corners[k], corners[(k + 1) % 3])))

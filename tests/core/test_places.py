@@ -86,22 +86,26 @@ READINGS = {
 }
 
 
+def check(xy, crs=UTM, **more):
+    return check_places(np.asarray(xy, float), crs, where="a", **more)
+
+
 @pytest.mark.parametrize("words", READINGS)
 def test_the_reading_that_would_fit_is_named(words):
     with pytest.raises(InputError, match=f"{words} would fit"):
-        check_places(READINGS[words], UTM, where="a.csv", cure="--crs")
+        check(READINGS[words], cure="--crs")
 
 
 def test_places_that_can_be_meant_are_said():
-    assert check_places(PLACES, UTM, where="a.csv") == "places about 50.9958 N, 13.7464 E"
+    assert check(PLACES) == "places about 50.9958 N, 13.7464 E"
     # all of Germany is published in zone 32
-    assert "N, 13." in check_places(PLACES + np.array([420_000.0, 5_000.0]), CRS("EPSG:25832"), where="a.csv")
+    assert "N, 13." in check(PLACES + np.array([420_000.0, 5_000.0]), CRS("EPSG:25832"))
     with pytest.raises(InputError, match=r"1 of 4 places lie up to 1,000 km from the others"):
-        check_places(np.vstack([PLACES, [1_412_000.0, 5_650_000.0]]), UTM, where="a.csv")
+        check(np.vstack([PLACES, [1_412_000.0, 5_650_000.0]]))
     with pytest.raises(InputError, match=r"heights about 412,000 m; expected ground"):
-        check_places(PLACES, UTM, where="a.csv", height_m=np.full(3, 412_000.0))
+        check(PLACES, height_m=np.full(3, 412_000.0))
     with pytest.raises(InputError, match="used from 39"):
-        check_places(PLACES, CRS("EPSG:22175"), where="a.csv")
+        check(PLACES, CRS("EPSG:22175"))
 
 
 def test_places_in_words_and_their_zone():
@@ -117,32 +121,34 @@ def test_places_in_words_and_their_zone():
 def test_limits_of_places():
     """Both sides of each: a survey's width, its zone, degrees that may be metres, heights of ground."""
     line = PLACES[0] + np.array([[0.0, 0.0], [0.0, 0.0], [0.0, 199_000.0]])
-    check_places(line, UTM, where="a")
+    check(line)
     line[2, 1] += 2_000.0
     with pytest.raises(InputError, match=r"1 of 3 places lie up to 201 km .* at east 412,000.0, north 5,851"):
-        check_places(line, UTM, where="a")
-    check_places(line, UTM, where="a", one_survey=False)
+        check(line)
+    check(line, one_survey=False)
     wide = CRS("EPSG:25832")  # of Europe, used 450 km from its meridian, where it is published so
-    check_places(np.array([[949_000.0, 4.43e6]]), wide, where="a")
+    check([[949_000.0, 4.43e6]], wide)
     with pytest.raises(InputError, match="east 951,000"):
-        check_places(np.array([[951_000.0, 4.43e6]]), wide, where="a")
-    check_places(np.array([[13.7, 51.0], [13.8, 51.0]]), UTM, where="a", degrees=True)
+        check([[951_000.0, 4.43e6]], wide)
+    check([[13.7, 51.0], [13.8, 51.0]], degrees=True)
     for lon in (8.8, 21.2):  # the zone has 12 to 18, and 3.1 beside it
         with pytest.raises(InputError, match=r"places about 51\.0000 N"):
-            check_places(np.array([[lon, 51.0]]), UTM, where="a", degrees=True)
+            check([[lon, 51.0]], degrees=True)
     for lon in (9.0, 21.0):
-        check_places(np.array([[lon, 51.0]]), UTM, where="a", degrees=True)
+        check([[lon, 51.0]], degrees=True)
     with pytest.raises(InputError, match="no place"):
-        check_places(np.zeros((0, 2)), UTM, where="a")
-    heights = np.array([-11_900.0, 8_900.0, 9_100.0, np.nan])  # most of those known
-    check_places(PLACES, UTM, where="a", height_m=heights)
+        check(np.zeros((0, 2)))
+    check(PLACES, height_m=np.array([-11_900.0, 8_900.0, 9_100.0, np.nan]))  # most of those known
     for wrong in (9_100.0, -12_100.0):
         with pytest.raises(InputError, match="expected ground between -12,000 and 9,000 m"):
-            check_places(PLACES, UTM, where="a", height_m=np.array([wrong, wrong, 10.0]))
-    check_degrees(np.array([[13.7, 51.0], [14.3, 51.0]]), where="a", cure="b")  # 40 km: metres
-    check_degrees(np.array([[0.7, 0.9], [0.8, 0.9]]), where="a", cure="b")  # about the origin of a site
-    check_degrees(np.array([[185.0, 51.0], [185.1, 51.0]]), where="a", cure="b")
-    check_degrees(np.array([[95.0, 91.0], [95.1, 91.0]]), where="a", cure="b")
+            check(PLACES, height_m=np.array([wrong, wrong, 10.0]))
+    for xy in (
+        [[13.7, 51.0], [14.3, 51.0]],  # 40 km: metres
+        [[0.7, 0.9], [0.8, 0.9]],  # about the origin of a site
+        [[185.0, 51.0], [185.1, 51.0]],
+        [[95.0, 91.0], [95.1, 91.0]],
+    ):
+        check_degrees(np.array(xy), where="a", cure="b")
     for xy in ([[13.7, 51.0], [13.8, 51.1]], [[51.0, 179.7], [51.0, 179.9]]):
         with pytest.raises(InputError, match="which look like degrees; expected metres"):
             check_degrees(np.array(xy), where="a", cure="b")
@@ -188,7 +194,7 @@ def test_coordinates_in_three_forms_are_the_same_place():
             world_of(wrong, GEODETIC, None, FRAME)
 
 
-def _earth() -> np.ndarray:
+def _earth():
     return np.column_stack(Transformer.from_crs(4979, 4978).transform([51.001], [13.752], [160.0]))
 
 

@@ -1,17 +1,18 @@
 """Chains of errors of poses: interpolation, thinning, what lies between the nodes, files."""
 
 from dataclasses import replace
+from itertools import combinations_with_replacement
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
+from tests.core.conftest import trajectory_of
 from thalweg.core import (
     ErrorChain,
     GeometryError,
     InputError,
-    LocalFrame,
-    Trajectory,
     even_time,
     read_chains,
     symmetric_roots,
@@ -22,7 +23,7 @@ from thalweg.core import (
 T0 = 1e9
 
 
-def random_walk(m: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def random_walk(m, rng):
     """Covariance (m, 7, m, 7) of m states of a chain of seven, each with the one before, and their own."""
     root = rng.standard_normal((m, 7, 7))
     full = np.zeros((m, 7, m, 7))
@@ -48,41 +49,31 @@ def test_a_thinned_chain_keeps_the_covariance_of_any_two_nodes(at_once, monkeypa
     chain = ErrorChain.of_covariances("states", t, own, following, pose, step_s=0.25)
     kept = np.array([0, 3, 6, 9, 11])
     assert chain.t_gps_s == pytest.approx(t[kept], abs=1e-6)
-    for a, i in enumerate(kept):
-        link = np.eye(7)
-        for b in range(a, len(kept)):
-            link = chain.link[b] @ link if b > a else link
-            expected = pose[kept[b]] @ full[kept[b], :5, i, :5] @ pose[i].T
-            found = chain.root[b] @ link @ chain.root[a].T
-            assert found == pytest.approx(expected, rel=1e-6, abs=1e-9 * np.abs(full).max())
+    for (a, i), (b, k) in combinations_with_replacement(enumerate(kept), 2):
+        expected = pose[k] @ full[k, :5, i, :5] @ pose[i].T
+        assert between(chain, a, b) == pytest.approx(expected, rel=1e-6, abs=1e-9 * np.abs(full).max())
 
 
-def test_between_two_nodes_errors_are_interpolated_and_outside_they_stay():
-    rng = np.random.default_rng(2)
-    root = rng.standard_normal((2, 6, 6))
-    link = np.zeros((2, 6, 6))
-    link[1] = 0.6 * np.eye(6)
-    chain = ErrorChain(name="pair", t_gps_s=np.array([T0, T0 + 1.0]), root=root, link=link)
-    a, b = 0.7 * root[0], 0.3 * root[1]
-    mixed = 0.6 * (a @ b.T)
-    expected = a @ a.T + b @ b.T + mixed + mixed.T
-    found = chain.covariance_at(np.array([T0 - 5.0, T0 + 0.3, T0 + 9.0]))
-    assert found[1] == pytest.approx(expected, abs=1e-5)  # GPS times of 1e9 s have 1e-7 s
-    assert found[0] == pytest.approx(root[0] @ root[0].T)
-    assert found[2] == pytest.approx(root[1] @ root[1].T)
-
-
-def a_trajectory(cov: np.ndarray) -> Trajectory:
+def a_trajectory(cov):
     """Ten seconds at 20 Hz, turning; covariances (201, 6, 6)."""
-    t = T0 + np.linspace(0.0, 10.0, 201)
-    return Trajectory(
-        frame=LocalFrame(lat_deg=51.0, lon_deg=13.0, h_ell_m=100.0),
-        t_gps_s=t,
-        position_wcs_m=np.column_stack([t - T0, 0 * t, 0 * t]),
-        quaternion_wcs_ics=Rotation.from_euler("z", 10.0 * (t - T0)[:, None], degrees=True).as_quat(),
-        cov_pose_wcs=cov,
-        valid=np.ones(len(t), dtype=bool),
-    )
+    s = np.linspace(0.0, 10.0, 201)
+    turning = Rotation.from_euler("z", 10.0 * s[:, None], degrees=True)
+    return trajectory_of(T0 + s, np.outer(s, [1.0, 0.0, 0.0]), turning, cov)
+
+
+def chain_of(t, root, link, name="all"):
+    """A chain whose root and link, given once, are those of all its nodes."""
+    n = len(t)
+    root, link = (np.tile(each, (n, 1, 1)) if each.ndim == 2 else each for each in (root, link))
+    return ErrorChain(name=name, t_gps_s=t, root=root, link=link)
+
+
+def between(chain, i, k):
+    """Covariance of the errors of node k with those of an earlier node i."""
+    link = np.eye(chain.link.shape[1])
+    for j in range(i + 1, k + 1):
+        link = chain.link[j] @ link
+    return chain.root[k] @ link @ chain.root[i].T
 
 
 def test_the_rest_is_what_grows_and_shrinks_between_fixed_times():
@@ -91,10 +82,7 @@ def test_the_rest_is_what_grows_and_shrinks_between_fixed_times():
     cov = np.tile(np.diag([4e-4, 4e-4, 4e-4, 1e-6, 1e-6, 1e-6]), (201, 1, 1))
     cov[:, 2, 2] += 0.01 * since * (1.0 - since)
     t = T0 + np.arange(11.0)
-    sigma = np.sqrt(np.diag(cov[0]))
-    known = ErrorChain(
-        name="known", t_gps_s=t, root=np.tile(np.diag(sigma), (11, 1, 1)), link=np.tile(np.eye(6), (11, 1, 1))
-    )
+    known = chain_of(t, np.sqrt(cov[0]), np.eye(6), "known")
     trajectory = a_trajectory(cov)
     chains = with_rest(trajectory, [known], t, step_s=0.05)
     assert [chain.name for chain in chains] == ["known", "between the nodes"]
@@ -102,15 +90,9 @@ def test_the_rest_is_what_grows_and_shrinks_between_fixed_times():
     at = T0 + np.array([3.0, 3.25, 3.5, 4.0])
     assert rest.covariance_at(at)[:, 2, 2] == pytest.approx([0.0, 0.001875, 0.0025, 0.0], abs=2e-6)
     i, k = (int(np.argmin(np.abs(rest.t_gps_s - T0 - s))) for s in (3.25, 3.5))
-    link = np.eye(6)
-    for j in range(i + 1, k + 1):
-        link = rest.link[j] @ link
-    between = (rest.root[k] @ link @ rest.root[i].T)[2, 2]
-    assert between == pytest.approx(0.01 * 0.25 * 0.5, rel=1e-3)  # s (T - t) / T
-    first, after = (int(np.argmin(np.abs(rest.t_gps_s - T0 - s))) for s in (3.5, 4.5))
-    for j in range(first + 1, after + 1):
-        link = rest.link[j] @ link
-    assert not link.any()  # nothing is left from one gap to the next
+    assert between(rest, i, k)[2, 2] == pytest.approx(0.01 * 0.25 * 0.5, rel=1e-3)  # s (T - t) / T
+    after = int(np.argmin(np.abs(rest.t_gps_s - T0 - 4.5)))
+    assert not between(rest, k, after).any()  # nothing is left from one gap to the next
     # where the chains say all, there is no rest
     assert with_rest(a_trajectory(np.tile(cov[0], (201, 1, 1))), [known], t, step_s=0.05) == [known]
 
@@ -136,12 +118,9 @@ def test_roots_of_mixed_units_have_their_covariance_and_keep_to_their_axes():
 def test_chains_are_read_as_they_were_written(tmp_path):
     rng = np.random.default_rng(4)
     chains = [
-        ErrorChain(
-            name=name, t_gps_s=T0 + np.arange(float(m)), root=rng.standard_normal((m, 6, d)),
-            link=rng.standard_normal((m, d, d)),
-        )
+        chain_of(T0 + np.arange(float(m)), rng.normal(size=(m, 6, d)), rng.normal(size=(m, d, d)), name)
         for name, m, d in (("images", 4, 6), ("clock", 3, 1))
-    ]  # fmt: skip
+    ]
     write_chains(tmp_path / "errors.npz", chains)
     again = read_chains(tmp_path / "errors.npz")
     for one, two in zip(chains, again, strict=True):
@@ -155,10 +134,11 @@ def test_chains_are_read_as_they_were_written(tmp_path):
 
 
 def test_chains_that_are_none_are_refused():
+    root, link = np.zeros((2, 6, 1)), np.zeros((2, 1, 1))
     with pytest.raises(GeometryError, match="times that go back"):
-        ErrorChain(name="x", t_gps_s=np.array([1.0, 0.0]), root=np.zeros((2, 6, 1)), link=np.zeros((2, 1, 1)))
+        chain_of(np.array([1.0, 0.0]), root, link)
     with pytest.raises(GeometryError, match=r"2 times, roots \(1, 6, 1\)"):
-        ErrorChain(name="x", t_gps_s=np.array([0.0, 1.0]), root=np.zeros((1, 6, 1)), link=np.zeros((2, 1, 1)))
+        chain_of(np.array([0.0, 1.0]), root[:1], link)
 
 
 @pytest.mark.parametrize("smooth", [False, True])
@@ -172,9 +152,7 @@ def test_means_of_heights_keep_their_variance_in_even_time(smooth):
         row = np.array([1.0, 0.0])
     else:
         link, row = np.exp(-0.5 / 9.0) * np.eye(1), np.ones(1)
-    root = np.zeros((len(t), 6, len(row)))
-    root[:, 2] = 0.02 * row
-    chain = ErrorChain(name="all", t_gps_s=t, root=root, link=np.tile(link, (len(t), 1, 1)))
+    chain = chain_of(t, np.outer(np.eye(6)[2], 0.02 * row), link)
     lag = np.abs(t[:, None] - t)
     exact = 0.02**2 * ((1 + lag / 4) * np.exp(-lag / 4) if smooth else np.exp(-lag / 9))
     at, even, time_s = even_time([chain])
@@ -183,9 +161,9 @@ def test_means_of_heights_keep_their_variance_in_even_time(smooth):
     assert time_s == pytest.approx(8.0 if smooth else 9.0, rel=0.05)
     assert ours.sum() == pytest.approx(exact.sum(), rel=0.05)
     if not smooth:
-        np.testing.assert_allclose(ours, exact, rtol=0, atol=0.03 * 0.02**2)
+        assert_allclose(ours, exact, rtol=0, atol=0.03 * 0.02**2)
     with pytest.raises(GeometryError, match="no errors of heights"):
-        even_time([replace(chain, root=np.zeros_like(root))])
+        even_time([replace(chain, root=0.0 * chain.root)])
 
 
 @pytest.mark.parametrize("sigma_m", [0.03, 1.0, 20.0])
@@ -193,12 +171,7 @@ def test_even_time_runs_by_the_rate_at_which_errors_are_forgotten(sigma_m):
     """Forgotten in 3 s at first and in 12 s later: four times as fast, however large the errors are."""
     t = np.arange(0.0, 120.5, 0.5)
     keep = np.exp(-0.5 / np.where(t <= 60.0, 3.0, 12.0))
-    chain = ErrorChain(
-        name="all",
-        t_gps_s=t,
-        root=np.tile(np.diag([5.0, 5.0, sigma_m, 1.0, 1.0, 1.0]), (len(t), 1, 1)),
-        link=keep[:, None, None] * np.eye(6),
-    )
+    chain = chain_of(t, np.diag([5.0, 5.0, sigma_m, 1.0, 1.0, 1.0]), keep[:, None, None] * np.eye(6))
     at, even, time_s = even_time([chain])
     first, second = (np.diff(np.interp(span, at, even))[0] for span in ([15.0, 45.0], [75.0, 105.0]))
     assert first / second == pytest.approx(4.0, rel=0.1)
@@ -209,38 +182,33 @@ def test_even_time_runs_by_the_rate_at_which_errors_are_forgotten(sigma_m):
 def test_errors_that_never_end_or_are_forgotten_at_once_have_the_limits_of_the_search():
     """A thousandth of the survey and a thousand surveys, where the sum over it tells no time."""
     t = np.arange(0.0, 100.5, 0.5)
-    root = np.tile(0.02 * np.eye(6), (len(t), 1, 1))
-    time_s = [
-        even_time(
-            [ErrorChain(name="all", t_gps_s=t, root=root, link=np.tile(k * np.eye(6), (len(t), 1, 1)))]
-        )[2]
-        for k in (0.0, 1.0)
-    ]
-    assert time_s[0] < 2.0
-    assert time_s[1] > 1e4
+    at_once, never = (even_time([chain_of(t, 0.02 * np.eye(6), k * np.eye(6))])[2] for k in (0.0, 1.0))
+    assert at_once < 2.0
+    assert never > 1e4
 
 
 def test_chains_with_links_in_all_directions_by_hand():
-    """Two components that turn into each other: the later error is ``link`` times the earlier one."""
+    """Two components that turn into each other: the later error is ``link`` times the earlier one.
+
+    Between two nodes errors are interpolated, and outside they stay.
+    """
     rng = np.random.default_rng(8)
     root, link = rng.standard_normal((4, 6, 2)), 0.5 * rng.standard_normal((4, 2, 2))
     t = np.array([0.0, 1.0, 2.0, 4.0])
-    chain = ErrorChain(name="both", t_gps_s=t, root=root, link=link)
+    chain = chain_of(t, root, link)
     mixed = root[2] @ link[2] @ root[1].T  # of node 2 with node 1
     expected = 0.49 * root[1] @ root[1].T + 0.09 * root[2] @ root[2].T + 0.21 * (mixed + mixed.T)
-    assert chain.covariance_at(np.array([1.3]))[0] == pytest.approx(expected, rel=1e-12)
+    before, found, behind = chain.covariance_at(np.array([-5.0, 1.3, 9.0]))
+    assert found == pytest.approx(expected, rel=1e-12)
+    assert before == pytest.approx(root[0] @ root[0].T)
+    assert behind == pytest.approx(root[3] @ root[3].T)
     up = root[:, 2]
     own, following = chain.heights_along(np.array([0.4, 0.6, 3.5]))  # the nodes 0, 1 and 3
     assert own == pytest.approx([up[0] @ up[0], up[1] @ up[1], up[3] @ up[3]])
     assert following == pytest.approx([up[1] @ link[1] @ up[0], up[3] @ link[3] @ link[2] @ up[1]])
     full = np.zeros((4, 4))
-    for i in range(4):
-        kept = up[i]
-        for k in range(i, 4):
-            kept = link[k] @ kept if k > i else kept
-            full[i, k] = full[k, i] = up[k] @ kept
+    for i, k in combinations_with_replacement(range(4), 2):
+        full[i, k] = full[k, i] = between(chain, i, k)[2, 2]
     own, whole = chain.heights_over_time()
     assert own == pytest.approx(np.diag(full))
     assert whole == pytest.approx(full @ [0.5, 1.0, 1.5, 1.0])  # trapezia
-    with pytest.raises(GeometryError, match="times that go back"):
-        replace(chain, t_gps_s=t[[0, 2, 1, 3]])

@@ -17,7 +17,7 @@ from thalweg.core import (
 )
 
 
-def three_links(rng: np.random.Generator, n: int) -> list[Link]:
+def three_links(rng, n):
     """The outer two with a pose for each point."""
     return [
         Link(rotation=Rotation.random(n, rng=rng).as_matrix(), shift_m=rng.normal(size=(n, 3))),
@@ -26,7 +26,7 @@ def three_links(rng: np.random.Generator, n: int) -> list[Link]:
     ]
 
 
-def moved(links: list[Link], x: np.ndarray, errors: np.ndarray, dx: np.ndarray) -> np.ndarray:
+def moved(links, x, errors, dx):
     """Points with finite errors (k, 6) of the links and dx of the point: the chain, written once more."""
     x = x + dx
     for link, e in zip(reversed(links), errors[::-1], strict=True):
@@ -54,22 +54,13 @@ def test_each_derivative_by_differences(rng):
         assert_allclose(chain.by_point[:, :, k], numeric, atol=1e-7)
 
 
-def test_covariance_agrees_with_draws_through_the_chain(rng):
-    links, x = three_links(rng, 1), np.array([[8.0, -3.0, 5.0]])
-    chain = chain_derivatives(links, x)
-    J = np.concatenate([*chain.by_link, chain.by_point], axis=2)
-    root = rng.normal(size=(21, 21)) * np.tile([0.02, 0.02, 0.02, 2e-3, 2e-3, 2e-3], 4)[:21, None]
-    predicted = propagated(J, root @ root.T)[0]
-    draws = rng.normal(size=(40_000, 21)) @ root.T
-    many = np.repeat(x, len(draws), axis=0) + draws[:, 18:]
-    for k in (2, 1, 0):
-        turned = many @ np.broadcast_to(links[k].rotation, (1, 3, 3))[0].T
-        shift = np.broadcast_to(links[k].shift_m, (1, 3))[0]
-        many = Rotation.from_rotvec(draws[:, 6 * k + 3 : 6 * k + 6]).apply(turned) + shift
-        many = many + draws[:, 6 * k : 6 * k + 3]
-    scale = np.sqrt(np.outer(np.diag(predicted), np.diag(predicted)))
-    # relative standard error of a variance from n draws: sqrt(2 / n) = 0.7 %; five of them
-    assert_allclose(np.cov(many.T) / scale, predicted / scale, atol=0.035)
+def test_covariances_are_those_of_linear_combinations(rng):
+    """Of one covariance for all points, and of one for each."""
+    J, root = rng.normal(size=(5, 3, 7)), rng.normal(size=(5, 7, 7))
+    own = root @ np.swapaxes(root, 1, 2)
+    for S in (own[0], own):
+        expected = np.einsum("nik,nkl,njl->nij", J, np.broadcast_to(S, own.shape), J)
+        assert_allclose(propagated(J, S), expected, rtol=1e-12)
 
 
 def test_small_changes_of_angles_are_rotation_vectors(rng):
@@ -106,3 +97,21 @@ def test_axes_of_a_beam(rng):
 def test_shapes_that_do_not_match(links, points):
     with pytest.raises(GeometryError, match="expected"):
         chain_derivatives(links, points)
+
+
+def test_covariance_agrees_with_draws_through_the_chain(rng):
+    links, x = three_links(rng, 1), np.array([[8.0, -3.0, 5.0]])
+    chain = chain_derivatives(links, x)
+    J = np.concatenate([*chain.by_link, chain.by_point], axis=2)
+    root = rng.normal(size=(21, 21)) * np.tile([0.02, 0.02, 0.02, 2e-3, 2e-3, 2e-3], 4)[:21, None]
+    predicted = propagated(J, root @ root.T)[0]
+    draws = rng.normal(size=(40_000, 21)) @ root.T
+    many = np.repeat(x, len(draws), axis=0) + draws[:, 18:]
+    for k in (2, 1, 0):
+        turned = many @ np.broadcast_to(links[k].rotation, (1, 3, 3))[0].T
+        shift = np.broadcast_to(links[k].shift_m, (1, 3))[0]
+        many = Rotation.from_rotvec(draws[:, 6 * k + 3 : 6 * k + 6]).apply(turned) + shift
+        many = many + draws[:, 6 * k : 6 * k + 3]
+    scale = np.sqrt(np.outer(np.diag(predicted), np.diag(predicted)))
+    # relative standard error of a variance from n draws: sqrt(2 / n) = 0.7 %; five of them
+    assert_allclose(np.cov(many.T) / scale, predicted / scale, atol=0.035)

@@ -1,15 +1,12 @@
 """What files state of their coordinates: units of three axes, GeoKeys, degrees, bands of rasters."""
 
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 import pytest
 import rasterio
 from pyproj import CRS, Transformer
 from rasterio import Affine
 
-from thalweg.core import ArrayF, InputError, UnsupportedError, read_dsm
+from thalweg.core import InputError, UnsupportedError, read_dsm
 from thalweg.core.values import crs_of_geokeys, in_metres, onto_map, same_heights
 
 US_FOOT_M = 1200 / 3937
@@ -18,13 +15,13 @@ NORTH_UP = Affine(2.0, 0.0, CORNER[0], 0.0, -2.0, CORNER[1])
 ROWS, COLUMNS = 20, 30
 
 
-def relief() -> ArrayF:
+def relief():
     """20 x 30 heights of 100 to 103 m, all different."""
     row, column = np.indices((ROWS, COLUMNS))
     return 100.0 + 0.1 * column + 0.2 * np.sin(row)
 
 
-def a_raster(path: Path, *bands: Any, transform: Affine = NORTH_UP, **told: Any) -> Path:
+def a_raster(path, *bands, transform=NORTH_UP, **told):
     """A GeoTIFF as others write them: units, scales, offsets, descriptions and a mask as given."""
     of_band = {
         name: told.pop(name) for name in ("units", "scales", "offsets", "descriptions") if name in told
@@ -54,7 +51,7 @@ def a_raster(path: Path, *bands: Any, transform: Affine = NORTH_UP, **told: Any)
     return path
 
 
-def keys(*rows: int) -> list[int]:
+def keys(*rows):
     return [
         1,
         1,

@@ -21,7 +21,7 @@ KIND = table_kind(
 )
 
 
-def frame() -> pd.DataFrame:
+def frame():
     return pd.DataFrame({"n": [1, 2], "fix": ["a", "b"], "t_gps_s": [0.5, np.nan]})
 
 

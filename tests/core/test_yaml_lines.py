@@ -184,7 +184,7 @@ class Boat(Part):
     alone: float = Field(default=0.0, description="a length in metres")
 
     @model_validator(mode="after")
-    def _other_names(self) -> "Boat":
+    def _other_names(self):
         refuse(
             [
                 wrong(f"two {s.kind}s", "one of each", "Leave one out", at=("sensors", k))

@@ -8,7 +8,8 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from scipy.spatial.transform import Rotation
 
-from thalweg.core import LocalFrame, Trajectory, rotation_enu_body, rotation_opk
+from tests.core.conftest import trajectory_of
+from thalweg.core import rotation_enu_body, rotation_opk
 from thalweg.core.geometry import TriangleMesh
 from thalweg.figures.calibration.field import cones_of
 from thalweg.ingest import GNSS_POSITION
@@ -26,14 +27,8 @@ def make_trajectory(n=400, length_m=100.0, azimuth_deg=70.0, invalid=(slice(150,
     valid = np.ones(n, dtype=bool)
     for part in invalid:
         valid[part] = False
-    return Trajectory(
-        frame=LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0),
-        t_gps_s=T0_GPS_S + 0.1 * np.arange(n),
-        position_wcs_m=position,
-        quaternion_wcs_ics=np.tile([0.0, 0.0, 0.0, 1.0], (n, 1)),
-        cov_pose_wcs=np.tile(4e-4 * np.diag([1.0, 1, 1, 0.01, 0.01, 0.01]), (n, 1, 1)),
-        valid=valid,
-    )
+    cov = np.diag([4e-4] * 3 + [4e-6] * 3)
+    return trajectory_of(T0_GPS_S + 0.1 * np.arange(n), position, cov=cov, valid=valid)
 
 
 def table_of(schema, n, **columns):

@@ -3,6 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.testing import assert_allclose
 from PIL import Image
 
 from thalweg.core import InputError
@@ -55,7 +56,7 @@ def test_a_real_boat_has_heights_only(points, look):
     last = next(ax for ax in figure.axes if ax.get_title(loc="left").startswith("c: mean of each line"))
     means = last.containers[0].lines[0].get_ydata(orig=False)
     # 2 cm to the west and 2 cm to the north from line to line: 4 mm higher
-    np.testing.assert_allclose(np.diff(means), 0.4)
+    assert_allclose(np.diff(means), 0.4)
     with pytest.raises(InputError, match="cov_uu_m2"):
         bed_strip(points.drop(columns="cov_uu_m2"), title="Strip")
 

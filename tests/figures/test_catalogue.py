@@ -3,8 +3,8 @@
 import hashlib
 import json
 import time
+from dataclasses import replace
 from datetime import datetime
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -12,8 +12,9 @@ import pytest
 from numpy.random import default_rng
 
 from tests.bands import band
+from tests.core.conftest import FRAME, trajectory_of
 from thalweg.cli import main
-from thalweg.core import LocalFrame, Rigid, Trajectory, read_table, rotation_opk
+from thalweg.core import Rigid, read_table, rotation_opk
 from thalweg.core.calibration import Calibration, Source, pose_block, write_calibration
 from thalweg.figures import (
     CATALOGUE,
@@ -31,20 +32,14 @@ GPS_2021_05_12 = (datetime(2021, 5, 12, 9) - datetime(1980, 1, 6)).total_seconds
 OFFSET_S, SIGMA_S = -2.35, 0.004
 
 
-def survey(folder: Path, *, day: int = 0, lat_deg: float = 51.05, offset_s: float = OFFSET_S) -> Path:
+def survey(folder, *, day=0, lat_deg=51.05, offset_s=OFFSET_S):
     """Results of a small survey: a track of 100 m by 50 m, a cloud with provenance, a clock."""
     folder.mkdir(parents=True)
     t = GPS_2021_05_12 + day * 86400.0 + np.arange(0.0, 40.25, 0.5)
     angle = np.linspace(0.0, 2 * np.pi, len(t))
     track = np.column_stack([50 * np.cos(angle), 25 * np.sin(angle), np.zeros(len(t))])
-    Trajectory(
-        t_gps_s=t,
-        position_wcs_m=track,
-        quaternion_wcs_ics=np.tile([0.0, 0.0, 0.0, 1.0], (len(t), 1)),
-        cov_pose_wcs=np.tile(np.eye(6) * 1e-4, (len(t), 1, 1)),
-        valid=np.ones(len(t), bool),
-        frame=LocalFrame(lat_deg=lat_deg, lon_deg=13.25, h_ell_m=300.0),
-    ).write(folder / "orientation/trajectory.parquet")
+    frame = replace(FRAME, lat_deg=lat_deg)
+    trajectory_of(t, track, frame=frame).write(folder / "orientation/trajectory.parquet")
     cloud = folder / "lidar/points.laz"
     cloud.parent.mkdir()
     cloud.write_bytes(b"points")
@@ -161,7 +156,7 @@ def test_eighty_campaigns_take_two_seconds(tmp_path):
     assert by_hand["sigma_mean_others"] == pytest.approx(SIGMA_S / np.sqrt(79))
 
 
-def mount(folder: Path, turn_deg: float, rng: np.random.Generator) -> None:
+def mount(folder, turn_deg, rng):
     """Results of a calibration whose lidar looks down: omega and kappa of its angles are one rotation."""
     sigma = np.array([0.002, 0.002, 0.002, *np.deg2rad([0.02, 0.02, 0.02])])
     error = sigma * rng.standard_normal(6)

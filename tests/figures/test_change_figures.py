@@ -11,6 +11,7 @@ from types import SimpleNamespace
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.testing import assert_allclose
 from pyproj import CRS
 
 from thalweg.core import Dsm, GeometryError, Grid, InputError, frame_of, write_raster, write_table
@@ -45,6 +46,10 @@ from thalweg.figures.deformation.views import (
 )
 from thalweg.workflow.figures import read_figures
 
+MOTION = dict.fromkeys(("east_m", "north_m", "up_m", "turn_east", "turn_north", "turn_up"), 0.0)
+
+
+UNREGISTERED = {"model": "none", "areas": "none are drawn", "sigma": "unknown"}
 WORDS = {"title": "a bank"}
 BY_BOAT = {"by_boat": True, **WORDS}
 FIGURES_YAML = Path(__file__).parents[2] / "workflow/figures.yaml"
@@ -100,10 +105,9 @@ def bank(tmp_path_factory):
     write_table(folder / "changes_1-2.parquet", frame_of(CHANGES, changes), CHANGES)
     write_table(folder / "visibility_1-2.parquet", frame_of(VISIBILITY, seen), VISIBILITY)
     (folder / "changes_1-2.json").write_text(json.dumps({"control": "fdr", "level": 0.05}))
-    motion = dict.fromkeys(("east_m", "north_m", "up_m", "turn_east", "turn_north", "turn_up"), 0.0)
     facts = {
-        "model": "shift", "parameters": motion | {"up_m": 0.05},
-        "sigmas": motion | {"east_m": 0.01, "north_m": 0.03, "up_m": 0.01}, "test_statistic": 25.0,
+        "model": "shift", "parameters": MOTION | {"up_m": 0.05},
+        "sigmas": MOTION | {"east_m": 0.01, "north_m": 0.03, "up_m": 0.01}, "test_statistic": 25.0,
         "degrees_of_freedom": 2, "p_value": 3.7e-6, "needed": True, "not_shown": [[1.0, 0.0, 0.0]],
         "stable_cores": 200, "candidates": 240, "areas": "what most of the bank agrees on", "n_areas": 1,
     }  # fmt: skip
@@ -155,18 +159,36 @@ def bank(tmp_path_factory):
         points.append(own / "points.npz")
         errors.append(own / "errors.json")
 
-    def of_pair(name):
-        return [folder / name.format("1-2")]
+    forms = {
+        "changes": "changes_{}.parquet", "visibility": "visibility_{}.parquet", "control": "changes_{}.json",
+        "registrations": "registration_{}.json", "weights": "registration_{}.npz",
+        "volumes": "volumes_{}.csv", "along": "volumes_along_{}.csv", "patches": "patches_{}.csv",
+        "differences": "dod_{}.csv",
+    }  # fmt: skip
+    of_pair = {key: [folder / form.format("1-2")] for key, form in forms.items()}
+    cores = folder / "core_points.parquet"
+    return SimpleNamespace(**of_pair, core_points=cores, points=points, errors=errors, n=k)
 
-    return SimpleNamespace(
-        changes=of_pair("changes_{}.parquet"),
-        visibility=of_pair("visibility_{}.parquet"),
-        control=of_pair("changes_{}.json"), registrations=of_pair("registration_{}.json"),
-        weights=of_pair("registration_{}.npz"), volumes=of_pair("volumes_{}.csv"),
-        along=of_pair("volumes_along_{}.csv"), patches=of_pair("patches_{}.csv"),
-        differences=of_pair("dod_{}.csv"),
-        core_points=folder / "core_points.parquet", points=points, errors=errors, n=k, s=s, up=up,
-    )  # fmt: skip
+
+@pytest.fixture
+def on_bank(bank):
+    """What the figures of a pair are drawn from, by the names of their arguments."""
+    return vars(bank) | {"spacing_m": 0.5, "twin": False} | BY_BOAT
+
+
+@pytest.fixture
+def shown(on_bank, look):
+    """The words of a figure, of what it asks for."""
+
+    def words(draw, **more):
+        return look.texts(drawn_of(draw, on_bank | more))
+
+    return words
+
+
+def drawn_of(draw, known):
+    """A figure of those arguments that it has."""
+    return draw(**{key: known[key] for key in inspect.signature(inspect.unwrap(draw)).parameters})
 
 
 @pytest.fixture
@@ -175,17 +197,32 @@ def pair(bank):
 
 
 @pytest.fixture
-def facts(bank):
-    return read_pair_facts(
-        bank.changes,
-        bank.visibility,
-        bank.control,
-        bank.registrations,
-        bank.volumes,
-        bank.patches,
-        bank.differences,
-        bank.core_points,
-    )[0]
+def all_facts(bank):
+    names = "changes visibility control registrations volumes patches differences core_points"
+    return read_pair_facts(*(getattr(bank, name) for name in names.split()))
+
+
+@pytest.fixture
+def facts(all_facts):
+    return all_facts[0]
+
+
+@pytest.fixture
+def epochs(bank):
+    return [json.loads(path.read_text()) for path in bank.errors]
+
+
+STATED = {"name": "stated", "correlation_s": None, "lasts": "over 20 m", "unit": "m"}
+
+
+def of_files(bank, k, folder, every=1):
+    """Points and errors of an epoch, as if it came from files without a trajectory."""
+    folder.mkdir()
+    with np.load(bank.points[k]) as stored:
+        np.savez(folder / "points.npz", xyz_m=stored["xyz_m"][::every], boat_m=np.empty((0, 3)))
+    about = json.loads(bank.errors[k].read_text()) | {"groups": [STATED | {"sigma": [0.0, 0.0, 0.03]}]}
+    (folder / "errors.json").write_text(json.dumps(about))
+    return folder / "points.npz", folder / "errors.json"
 
 
 # ---------------------------------------------------------------- the frame of the bank
@@ -203,9 +240,8 @@ def test_along_is_to_the_right_as_seen_from_the_river_and_into_leads_away_from_i
 # ---------------------------------------------------------------- maps
 
 
-def test_change_map_counts_bare_ground_and_states_the_ends(bank, look):
-    figure = draw_change_map(changes=bank.changes, core_points=bank.core_points, spacing_m=0.5, **BY_BOAT)
-    words = look.texts(figure)
+def test_change_map_counts_bare_ground_and_states_the_ends(bank, shown):
+    words = shown(draw_change_map)
     n = bank.n - 41 - 4  # water and plants
     assert f"n = {n} core points" in words
     assert "from −35 to +20 cm, 1 beyond the scale" in words
@@ -213,10 +249,8 @@ def test_change_map_counts_bare_ground_and_states_the_ends(bank, look):
     assert "negative: erosion, positive: deposition" in words
 
 
-def test_significance_map_names_states_with_their_area(bank, look):
-    files = {"changes": bank.changes, "core_points": bank.core_points, "spacing_m": 0.5}
-    figure = draw_significance_map(**files, **BY_BOAT)
-    words = look.texts(figure)
+def test_significance_map_names_states_with_their_area(shown):
+    words = shown(draw_significance_map)
     # 5 columns by 4 rows of half a square metre each, of 287
     assert "erosion: n = 20, 10 m² (7 %)" in words
     assert "vegetation: n = 4, 2 m² (1.4 %)" in words
@@ -246,10 +280,8 @@ def test_where_no_ground_is_drawn_the_pictures_of_it_say_so(bank, pair, tmp_path
         read_stable([pair], bank.registrations, [tmp_path / "none.npz"])
 
 
-def test_stable_ground_is_held_against_the_standard_normal(bank, look):
-    files = {"changes": bank.changes, "registrations": bank.registrations, "weights": bank.weights}
-    figure = draw_stable_ground(**files, core_points=bank.core_points, spacing_m=0.5, **BY_BOAT)
-    words = look.texts(figure)
+def test_stable_ground_is_held_against_the_standard_normal(shown):
+    words = shown(draw_stable_ground)
     # 287 without water, plants and both patches; the patch of 20 cm is ten sigmas off
     assert "stable ground: n = 202" in words
     assert "all that the registration rests on: n = 222" in words
@@ -265,7 +297,7 @@ def test_difference_of_heights_is_drawn_with_its_sigma(look, tmp_path, tall):
     found = SurfaceDifference(raster, sigma, pd.DataFrame(), [])
     write_difference(tmp_path / "dod_1-2.tif", found)
     back = read_difference(tmp_path / "dod_1-2.tif")
-    np.testing.assert_allclose(back.raster.height_m, height.astype(np.float32))
+    assert_allclose(back.raster.height_m, height.astype(np.float32))
     assert back.raster.corner_m.tolist() == raster.corner_m.tolist()
     figure = draw_height_difference(differences=[tmp_path / "dod_1-2.tif"], **WORDS)
     words = look.texts(figure)
@@ -281,9 +313,8 @@ def test_difference_of_heights_is_drawn_with_its_sigma(look, tmp_path, tall):
         read_difference(tmp_path / "other.tif")
 
 
-def test_volumes_along_the_bank(bank, look):
-    figure = draw_volume_along(along=bank.along, **BY_BOAT)
-    words = look.texts(figure)
+def test_volumes_along_the_bank(shown):
+    words = shown(draw_volume_along)
     assert "erosion: −4.0 m³" in words
     assert "net: −1.4 m³" in words
     assert "2 stretches of 10 m" in words
@@ -300,28 +331,19 @@ def test_epochs_from_above(bank, look):
     assert len(look.artists(figure, "track")) == 2
 
 
-def test_an_epoch_of_files_has_no_boat_and_its_notes_stand_on_the_page(bank, facts, look, tmp_path):
-    own = tmp_path / "files"
-    own.mkdir()
-    with np.load(bank.points[1]) as stored:
-        np.savez(own / "points.npz", xyz_m=stored["xyz_m"], boat_m=np.empty((0, 3)))
-    group = {"name": "stated", "correlation_s": None, "lasts": "over 20 m", "unit": "m"}
-    about = json.loads(bank.errors[1].read_text()) | {"groups": [group | {"sigma": [0.0, 0.0, 0.03]}]}
-    (own / "errors.json").write_text(json.dumps(about))
-    figure = draw_epochs_from_above(
-        points=[bank.points[0], own / "points.npz"], errors=[bank.errors[0], own / "errors.json"], **WORDS
-    )
+def test_an_epoch_of_files_has_no_boat_and_its_notes_stand_on_the_page(bank, facts, look, epochs, tmp_path):
+    points, errors = of_files(bank, 1, tmp_path / "files")
+    figure = draw_epochs_from_above(points=[bank.points[0], points], errors=[bank.errors[0], errors], **WORDS)
     assert len(look.artists(figure, "track")) == 1
     assert "files, no trajectory" in look.texts(figure)
     noted = replace(facts, control=facts.control | {"notes": ["No sigma is stated of scanner."]})
-    html = change_page([json.loads(bank.errors[0].read_text()), about], [noted]).html()
+    html = change_page([epochs[0], json.loads(errors.read_text())], [noted]).html()
     for words in ("Epochs 1 to 2: No sigma is stated of scanner.", "stated of the files", "over 20 m"):
         assert words in html, words
 
 
-def test_both_epochs_together_with_point_to_point_distances(bank, look):
-    files = {name: getattr(bank, name) for name in ("points", "errors", "changes", "core_points")}
-    figure = draw_epochs_together(**files, spacing_m=0.5, **BY_BOAT)
+def test_both_epochs_together_with_point_to_point_distances(on_bank, look):
+    figure = drawn_of(draw_epochs_together, on_bank)
     words = look.texts(figure)
     assert "a) epoch 1, spring, seen from the river, heights not to scale" in words
     assert "n = 80 000 points" in words
@@ -340,19 +362,14 @@ def test_profiles_go_through_the_largest_and_the_lowest_change(bank, pair):
 
 
 def test_a_motion_is_taken_off_the_second_epoch():
-    motion = dict.fromkeys(("east_m", "north_m", "up_m", "turn_east", "turn_north"), 0.0)
-    moved = without_motion(
-        np.array([[11.0, 0.0, 0.0]]), motion | {"up_m": 0.2, "turn_up": 0.01}, np.array([1.0, 0, 0])
-    )
+    motion = MOTION | {"up_m": 0.2, "turn_up": 0.01}
+    moved = without_motion(np.array([[11.0, 0.0, 0.0]]), motion, np.array([1.0, 0, 0]))
     # a turn of 10 mrad to the left at ten metres
     assert moved[0] == pytest.approx([11.0, -0.1, -0.2])
 
 
-def test_profiles_show_both_epochs_registered(bank, look):
-    files = {name: getattr(bank, name) for name in ("points", "errors", "changes", "patches")}
-    figure = draw_change_profiles(
-        **files, registrations=bank.registrations, core_points=bank.core_points, spacing_m=0.5, **BY_BOAT
-    )
+def test_profiles_show_both_epochs_registered(on_bank, look):
+    figure = drawn_of(draw_change_profiles, on_bank)
     first = look.artists(figure, "first epoch")[0].get_xydata()
     second = look.artists(figure, "second epoch, registered")[0].get_xydata()
     # on the slope into = up - 1.5; where the bank went 30 cm, it is as much behind along the normal
@@ -384,14 +401,14 @@ def test_a_net_volume_beyond_its_band_is_called_different_from_zero(facts):
         verdict(replace(facts, volumes=table[table["what"] != "net"]))
 
 
-def test_words_where_nothing_was_found(bank, facts):
+def test_words_where_nothing_was_found(epochs, facts):
     calm = replace(facts, patches=facts.patches.iloc[:0], registration={"model": "none"})
     assert "not registered" in verdict(calm)
     assert largest_patches(calm.patches).startswith("No connected patch")
     assert "No stable areas were drawn" in limits([facts])
     drawn = replace(facts, registration={**facts.registration, "areas": "drawn"})
     assert "drawn by hand" in limits([drawn])
-    html = change_page([json.loads(bank.errors[0].read_text())], [calm]).html()
+    html = change_page(epochs[:1], [calm]).html()
     assert "deformation.registration is none" in html
 
 
@@ -429,14 +446,10 @@ def test_two_volumes_that_contradict_each_other_are_a_warning(facts, by_heights,
     assert told in head([other])[0]
 
 
-def test_without_a_sigma_and_drawn_ground_there_is_no_verdict(bank, facts):
-    motion = dict.fromkeys(("east_m", "north_m", "up_m", "turn_east", "turn_north", "turn_up"), 0.0)
-    silent = replace(
-        facts,
-        registration={"model": "none", "areas": "none are drawn", "sigma": "unknown",
-                      "would_be": motion | {"up_m": -0.204}},
-        volumes=facts.volumes.assign(low_m3=-3.0, high_m3=-0.5),
-    )  # fmt: skip
+def test_without_a_sigma_and_drawn_ground_there_is_no_verdict(epochs, facts):
+    volumes = facts.volumes.assign(low_m3=-3.0, high_m3=-0.5)
+    registration = UNREGISTERED | {"would_be": MOTION | {"up_m": -0.204}}
+    silent = replace(facts, registration=registration, volumes=volumes)
     lead, findings = head([silent])
     assert "no verdict: no standard deviation is stated or estimated for both epochs" in lead
     assert "a common offset may remain. The majority of the surface suggests −20.4 cm" in lead
@@ -448,20 +461,20 @@ def test_without_a_sigma_and_drawn_ground_there_is_no_verdict(bank, facts):
     assert "different from zero" not in words
     assert "which may be change or an offset" in words
     assert "a common offset of the epochs may remain" in limits([silent])
-    html = change_page([json.loads(bank.errors[0].read_text())], [silent]).html()
+    html = change_page(epochs[:1], [silent]).html()
     assert "not registered (no stable ground is drawn" in html
 
 
-def test_areas_of_drawn_ground_stand_on_the_page(bank, facts):
+def test_areas_of_drawn_ground_stand_on_the_page(epochs, facts):
     areas = [
         {"east_m": 10.0, "north_m": 5.0, "places": 30, "off_m": 0.012},
         {"east_m": 70.0, "north_m": 5.0, "places": 4, "off_m": None},
     ]
     told = {"areas": "drawn", "n_areas": 2, "by_area": areas, "sigma": "stated"}
     told |= {"sigma_from": "the stated sigmas"}
-    drawn = replace(facts, registration={**facts.registration, **told})
+    drawn = replace(facts, registration=facts.registration | told)
     assert taken_off(drawn.registration) == ("+5.0 ± 1.0 cm", "from drawn ground, 2 areas")
-    html = change_page([json.loads(bank.errors[0].read_text())], [drawn]).html()
+    html = change_page(epochs[:1], [drawn]).html()
     assert "stable areas that lie apart" in html
     assert "standard deviation is by the stated sigmas" in html
 
@@ -479,7 +492,7 @@ def test_directions_in_words(motion, words):
     assert direction(motion) == words
 
 
-def test_the_page_holds_all_tables_and_pictures(bank, facts, look, tmp_path):
+def test_the_page_holds_all_tables_and_pictures(bank, facts, epochs, tmp_path):
     picture = tmp_path / "volume_along.png"
     save(draw_volume_along(along=bank.along, **BY_BOAT), picture, dpi=50)
     truth = {"1-2": pd.DataFrame({"measure": ["specificity", "new_one"], "value": [0.99, 2.0], "n": [10, 1]})}
@@ -489,7 +502,7 @@ def test_the_page_holds_all_tables_and_pictures(bank, facts, look, tmp_path):
         [{"name": "patch_-0.10", **polygon, **known}, {"name": "niche", **polygon, **known, "cores": 0}]
     )
     html = change_page(
-        [json.loads(path.read_text()) for path in bank.errors],
+        epochs,
         [facts, facts],
         pictures=[picture],
         captions={"volume_along": "Bars of volume."},
@@ -515,8 +528,7 @@ def test_the_page_holds_all_tables_and_pictures(bank, facts, look, tmp_path):
         assert words in html, words
     assert html.count("by erosion on") == 2
     assert "<td>niche</td>" not in html  # nobody saw it
-    plain = change_page([json.loads(path.read_text()) for path in bank.errors], [facts]).html()
-    assert "digital twin" not in plain
+    assert "digital twin" not in change_page(epochs, [facts]).html()
 
 
 def test_movement_of_both_lines_is_drawn_in_centimetres(look, tmp_path):
@@ -533,23 +545,17 @@ def test_movement_of_both_lines_is_drawn_in_centimetres(look, tmp_path):
     assert figure.axes[0].lines[0].get_ydata() == pytest.approx(-30.0)
 
 
-def test_a_page_of_many_epochs_names_those_that_jump(bank):
-    facts = read_pair_facts(
-        bank.changes, bank.visibility, bank.control, bank.registrations, bank.volumes, bank.patches,
-        bank.differences, bank.core_points,
-    )  # fmt: skip
-    errors = [json.loads(path.read_text()) for path in bank.errors]
+def test_a_page_of_many_epochs_names_those_that_jump(all_facts, epochs):
     jump = {"n": 200, "before_m": 0.2, "after_m": -0.21, "share": 0.9, "flagged": True, "name": "autumn"}
     jumps = {"epochs": [jump | {"epoch": 1}], "closure": {"n": 190, "mean_m": 0.0, "rms_m": 0.013}}
-    none = dict.fromkeys(("east_m", "north_m", "up_m", "turn_east", "turn_north", "turn_up"), 0.0)
     jumps["network"] = {
-        "parameters": [none | {"up_m": 0.02}, none | {"up_m": -0.02}, none],
-        "sigmas": [none | {"up_m": 0.003, "turn_up": 1e-4}] * 3,
+        "parameters": [MOTION | {"up_m": 0.02}, MOTION | {"up_m": -0.02}, MOTION],
+        "sigmas": [MOTION | {"up_m": 0.003, "turn_up": 1e-4}] * 3,
         "stable_cores": 210,
     }
     line = {"line": "bank line", "height_m": 0.5, "s_from_m": 0.0, "s_to_m": 5.0, "cores": 4, "n_epochs": 3}
     rates = pd.DataFrame([line | {"lrr_m_a": -0.31, "sigma_lrr_m_a": 0.02}])
-    text = change_page(errors, facts, series=(jumps, rates)).html()
+    text = change_page(epochs, all_facts, series=(jumps, rates)).html()
     assert "Check epoch 2 (autumn)" in text
     assert "by 1.3 cm (root mean square of n = 190" in text
     assert "+20.0 ± 3.0" in text
@@ -568,20 +574,8 @@ def test_the_limits_of_epochs_of_files_stand_on_the_page(facts):
 
 def test_pictures_and_page_of_files_speak_of_no_boat_river_or_bank(bank, look, tmp_path):
     """Captions, titles, axes and text of a campaign of which no epoch has a trajectory."""
-    points, errors = [], []
-    for i in range(2):
-        own = tmp_path / f"{i}"
-        own.mkdir()
-        with np.load(bank.points[i]) as stored:
-            np.savez(own / "points.npz", xyz_m=stored["xyz_m"][::20], boat_m=np.empty((0, 3)))
-        group = {"name": "stated", "correlation_s": None, "lasts": "over 20 m", "unit": "m"}
-        about = {"groups": [group | {"sigma": [0.0, 0.0, 0.03]}]}
-        (own / "errors.json").write_text(json.dumps(json.loads(bank.errors[i].read_text()) | about))
-        points.append(own / "points.npz")
-        errors.append(own / "errors.json")
-    motion = dict.fromkeys(("east_m", "north_m", "up_m", "turn_east", "turn_north", "turn_up"), 0.0)
-    facts = {"model": "none", "areas": "none are drawn", "sigma": "unknown", "would_be": motion}
-    (tmp_path / "registration_1-2.json").write_text(json.dumps(facts))
+    points, errors = zip(*(of_files(bank, k, tmp_path / f"{k}", 20) for k in range(2)), strict=True)
+    (tmp_path / "registration_1-2.json").write_text(json.dumps(UNREGISTERED | {"would_be": MOTION}))
     line = {"height_m": 0.5, "s_from_m": 0.0, "s_to_m": 5.0, "cores": 4, "nsm_m": 0.1, "low_m": 0.0}
     moved = pd.DataFrame([{"line": name, **line, "high_m": 0.2} for name in ("bank line", "bank top")])
     moved.to_csv(tmp_path / "retreat_1-2.csv", index=False)
@@ -604,11 +598,9 @@ def test_pictures_and_page_of_files_speak_of_no_boat_river_or_bank(bank, look, t
         module, _, name = (row.draw or "").partition(":")
         if row.kind == "change":
             found[f"caption of {row.name}"] = row.caption_of_files or row.caption
-            draw = inspect.unwrap(getattr(import_module(module), name))
-            wanted = inspect.signature(draw).parameters
             if row.name != "height_difference":  # from files of other kinds, see above
-                found[row.name] = look.texts(draw(**{key: known[key] for key in wanted}))
-    write_change_page(**{key: known[key] for key in inspect.signature(write_change_page).parameters})
+                found[row.name] = look.texts(drawn_of(getattr(import_module(module), name), known))
+    drawn_of(write_change_page, known)
     found["page"] = known["page"].read_text()
     spoken = {name: re.findall(r"\b(?:river|boat|bank)s?\b.{0,40}", words) for name, words in found.items()}
     assert not {name: words for name, words in spoken.items() if words}

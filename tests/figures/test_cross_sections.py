@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
-from thalweg.core import LocalFrame, Trajectory
+from tests.core.conftest import trajectory_of
 from thalweg.figures.accuracy.cross_sections import Slabs, cross_sections
 
 OPTIONS = {"count": 3, "stations_m": None, "thickness_m": 0.4}
@@ -13,14 +14,8 @@ OPTIONS = {"count": 3, "stations_m": None, "thickness_m": 0.4}
 def boat():
     """Along the bank at 1.5 m/s from east 70 to 130 m in 40 s, no pose in the middle."""
     t = np.linspace(0.0, 40.0, 401)
-    return Trajectory(
-        frame=LocalFrame(lat_deg=51.0, lon_deg=13.0, h_ell_m=100.0),
-        t_gps_s=t,
-        position_wcs_m=np.stack([70.0 + 1.5 * t, np.zeros(401), np.full(401, 0.7)], axis=1),
-        quaternion_wcs_ics=np.tile([0.0, 0.0, 0.0, 1.0], (401, 1)),
-        cov_pose_wcs=np.tile(1e-4 * np.eye(6), (401, 1, 1)),
-        valid=(t < 19.0) | (t > 21.0),
-    )
+    position = np.add(np.outer(t, [1.5, 0.0, 0.0]), [70.0, 0.0, 0.7])
+    return trajectory_of(t, position, valid=(t < 19.0) | (t > 21.0))
 
 
 def slabs_of(made, options=OPTIONS):
@@ -34,7 +29,7 @@ def slabs_of(made, options=OPTIONS):
 def test_sections_are_spread_evenly_or_where_they_are_wanted(made):
     # 59 m of compared points about the middle: thirds of them have their middles 19.5 m apart.
     places = [s.along_m for s in Slabs(made.table, made.frame, OPTIONS).sections]
-    np.testing.assert_allclose(places, [-19.6, 0.0, 19.6], atol=0.2)
+    assert_allclose(places, [-19.6, 0.0, 19.6], atol=0.2)
     wanted = Slabs(made.table, made.frame, OPTIONS | {"stations_m": [-5.0, 12.5]})
     assert [s.along_m - wanted.middle_m for s in wanted.sections] == [-5.0, 12.5]
 
@@ -56,9 +51,9 @@ def test_the_cut_lies_on_the_mesh(made):
     slabs = Slabs(made.table, made.frame, OPTIONS | {"stations_m": [3.3]})
     lines = slabs.cut(slabs.sections[0], made.mesh)
     # The plane bank: height over distance is its slope, from the origin of the frame on.
-    np.testing.assert_allclose(lines[..., 1] - 3.0, lines[..., 0] * np.tan(made.slope_rad), atol=1e-9)
+    assert_allclose(lines[..., 1] - 3.0, lines[..., 0] * np.tan(made.slope_rad), atol=1e-9)
     length = np.linalg.norm(lines[:, 1] - lines[:, 0], axis=1).sum()
-    np.testing.assert_allclose(length, 8.0, rtol=1e-9)  # the whole slope once, no triangle twice
+    assert_allclose(length, 8.0, rtol=1e-9)  # the whole slope once, no triangle twice
 
 
 def test_the_boat_is_where_it_was(made, boat):
@@ -67,7 +62,7 @@ def test_the_boat_is_where_it_was(made, boat):
     t = section.points("cloud")[:, 2]
     place = slabs.boat_along_m(section, boat)
     # Seen from the river the bank runs to the right, to the west: along is 100 m - east.
-    np.testing.assert_allclose(place, 100.0 - (70.0 + 1.5 * t) - section.along_m, atol=1e-6)
+    assert_allclose(place, 100.0 - (70.0 + 1.5 * t) - section.along_m, atol=1e-6)
     assert slabs.water_m(section, boat, 0.2) == pytest.approx(0.5)
 
 

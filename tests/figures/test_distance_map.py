@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from tests.figures.conftest import artists as by_gid
 from thalweg.core import CoverageError, InputError
@@ -11,11 +12,11 @@ from thalweg.figures.accuracy.distance_map import distance_map, strips, view_tex
 from thalweg.figures.accuracy.distances import bank_frame_of
 
 
-def test_the_title_states_n_mean_and_rmse(made):
+def test_the_title_states_n_mean_and_rmse(made, look):
     figure = distance_map(made.table, made.mesh, made.frame, title="Test", twin=True)
     used = made.table[made.table["used"]]
     d = used["distance_m"].to_numpy()
-    title = figure.get_suptitle().replace("\n", " ").replace("\N{NO-BREAK SPACE}", " ")
+    title = look.texts(figure)
     assert f"n = {len(used):,}".replace(",", " ") in title
     assert f"mean {100 * d.mean():+.1f} cm, RMSE {100 * np.sqrt(np.mean(d**2)):.1f} cm" in title
 
@@ -48,7 +49,7 @@ def test_strips_cover_the_bank_at_one_scale(rng):
     assert len(pieces) > 3
     assert pieces[0].along_m[0] == bank[:, 0].min()
     assert pieces[-1].along_m[1] == bank[:, 0].max()
-    np.testing.assert_allclose([p.size_m[0] for p in pieces], pieces[0].size_m[0])
+    assert_allclose([p.size_m[0] for p in pieces], pieces[0].size_m[0])
     assert [a.along_m[1] for a in pieces[:-1]] == [b.along_m[0] for b in pieces[1:]]
     for piece in pieces:
         inside = (bank[:, 0] >= piece.along_m[0]) & (bank[:, 0] <= piece.along_m[1])
@@ -66,8 +67,8 @@ def test_nothing_compared_is_refused(made):
 def test_the_bank_frame_comes_from_the_facts(made):
     facts = {"bank_frame": {"origin_m": [1.0, 2.0, 3.0], "R_bank_wcs": made.frame.R_bank_wcs.tolist()}}
     frame = bank_frame_of(facts)
-    np.testing.assert_array_equal(frame.R_bank_wcs, made.frame.R_bank_wcs)
-    np.testing.assert_array_equal(frame.origin_m, [1.0, 2.0, 3.0])
+    assert_array_equal(frame.R_bank_wcs, made.frame.R_bank_wcs)
+    assert_array_equal(frame.origin_m, [1.0, 2.0, 3.0])
     with pytest.raises(InputError, match="bank frame"):
         bank_frame_of({})
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from tests.figures.conftest import artists as by_gid
 from thalweg.accuracy import ComparisonSettings, by_range_table
@@ -22,7 +23,7 @@ def test_every_point_is_a_bar_or_counted_beyond(made):
     (steps,) = by_gid(figure, "histogram")
     values, edges, _ = steps.get_data()
     d = made.table.loc[made.table["used"], "distance_m"].to_numpy()
-    np.testing.assert_allclose([edges[0], edges[-1]], [-40.0, 40.0])
+    assert_allclose([edges[0], edges[-1]], [-40.0, 40.0])
     assert values.sum() == (np.abs(d) <= 0.4).sum()
     title = figure.axes[0].get_title(loc="left")
     assert f"{count(int((d < -0.4).sum()))} behind, {count(int((d > 0.4).sum()))} in front" in title
@@ -41,7 +42,7 @@ def test_the_fits_have_the_parameters_that_are_printed(made):
         assert f"{100 * spread:.1f}\N{NO-BREAK SPACE}cm" in line.get_label()
         # Counts, not a density: bars of 80 cm / 81 under n points.
         n = kept.size if k == 1 else d.size
-        np.testing.assert_allclose(y.max(), n * 0.8 / 81 / (spread * np.sqrt(2 * np.pi)), rtol=1e-3)
+        assert_allclose(y.max(), n * 0.8 / 81 / (spread * np.sqrt(2 * np.pi)), rtol=1e-3)
     title = figure.get_suptitle().replace("\n", " ").replace("\N{NO-BREAK SPACE}", " ")
     assert f"mean {100 * d.mean():+.1f} cm, std {100 * d.std():.1f} cm" in title
 
@@ -54,12 +55,12 @@ def test_the_curves_are_those_of_the_table(by_range):
     kept = by_range[by_range["points"] == "without outliers"]
     for gid, column in (("normal", "rmse_predicted_m"), ("3d", "rmse_predicted_3d_m")):
         (line,) = by_gid(figure, gid)
-        np.testing.assert_allclose(line.get_ydata(), 1e3 * kept[column])
+        assert_allclose(line.get_ydata(), 1e3 * kept[column])
     (ratio,) = by_gid(figure, "ratio")
-    np.testing.assert_allclose(ratio.get_ydata(), kept["ratio"])
+    assert_allclose(ratio.get_ydata(), kept["ratio"])
     # Predicted are 5.0 and 0.6 cm, observed 5 cm about a mean of 3: 5.04 / 5.83. With 780 points a class the
     # ratio of one class varies by 2.5 %, the median of 26 of them by 0.6 %; four of those.
-    np.testing.assert_allclose(np.median(ratio.get_ydata()), 0.864, rtol=0.025)
+    assert_allclose(np.median(ratio.get_ydata()), 0.864, rtol=0.025)
     assert f"n = {count(int(kept['n'].sum()))}" in figure.get_suptitle()
 
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from thalweg.figures.cloud.footprints import best_moment, choose_patch, footprint_ellipses, footprints
 
@@ -28,7 +29,7 @@ def test_the_patch_lies_at_the_distance_asked_for(frame):
 def test_the_patch_is_seen_along_its_beams(frame):
     patch = choose_patch(*frame)
     axes = np.stack([patch.right, patch.up, patch.away])
-    np.testing.assert_allclose(axes @ axes.T, np.eye(3), atol=1e-12)
+    assert_allclose(axes @ axes.T, np.eye(3), atol=1e-12)
     assert patch.right[2] == 0.0
     assert patch.right[0] > 0.9  # looking north, east is to the right
     assert patch.up[2] > 0.9
@@ -50,7 +51,7 @@ def test_an_ellipse_is_the_shadow_of_the_circle_across_its_beam(frame, rng):
     (width,), (height,), (angle,) = footprint_ellipses(beam[None], patch, divergence_mrad=3.0)
     c, s = np.cos(np.deg2rad(angle)), np.sin(np.deg2rad(angle))
     on = ((u * c + v * s) / (0.5 * width)) ** 2 + ((-u * s + v * c) / (0.5 * height)) ** 2
-    np.testing.assert_allclose(on, 1.0, atol=1e-9)
+    assert_allclose(on, 1.0, atol=1e-9)
 
 
 def test_figure_draws_every_footprint_to_scale(frame, tmp_path):

@@ -3,33 +3,19 @@
 import numpy as np
 import pytest
 
-from thalweg.core import LazWriter, LocalFrame
+from tests.core.conftest import FRAME, image_poses_of
+from thalweg.core import LazWriter
 from thalweg.figures.cloud.frames_by_image import FrameImages, FrameViews, frames_by_image
-from thalweg.images.model import ImagePoses
 
-FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
 T0 = 3.0e8
 
 
-def poses() -> ImagePoses:
+def poses():
     """Twelve images along a track to the east, one without pose, not in order of time."""
-    n = 12
-    order = np.array([3, 0, 1, 2, *range(4, n)])
-    oriented = order != 5
-    return ImagePoses(
-        frame=FRAME,
-        images=tuple(f"{k}.jpg" for k in order),
-        t_gps_s=T0 + order.astype(float),
-        sigma_t_s=np.full(n, 0.02),
-        oriented=oriented,
-        reasons=tuple("" if o else "blurred" for o in oriented),
-        centre_wcs_m=np.column_stack([4.0 * order, np.sin(order), np.full(n, 1.0)]),
-        R_wcs_ccs=np.tile(np.eye(3), (n, 1, 1)),
-        cov_pose_wcs=np.tile(1e-6 * np.eye(6), (n, 1, 1)),
-        cov_next=np.zeros((n, 6, 6)),
-        n_marks=np.full(n, 50.0),
-        rms_px=np.full(n, 0.4),
-    )
+    order = np.array([3, 0, 1, 2, *range(4, 12)])
+    centre = np.column_stack([4.0 * order, np.sin(order), np.ones(12)])
+    names = [f"{k}.jpg" for k in order]
+    return image_poses_of(centre, np.eye(3), T0 + order, oriented=order != 5, names=names)
 
 
 @pytest.fixture

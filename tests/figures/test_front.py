@@ -29,7 +29,7 @@ TITLE = "Survey <1>"
 WHOLE_BYTES = 1_500_000
 
 
-def picture(path: Path, n: int = 500) -> Path:
+def picture(path, n=500):
     """A scatter plot."""
     path.parent.mkdir(parents=True, exist_ok=True)
     image = Image.new("RGB", (669, 550), "white")
@@ -40,14 +40,14 @@ def picture(path: Path, n: int = 500) -> Path:
     return path
 
 
-def report(folder: Path, stream: str, **facts) -> None:
+def report(folder, stream, **facts):
     found = IntegrityReport(stream=stream, format="a format", files=["log"], t_first_s=0.0, t_last_s=100.0)
     for key, value in facts.items():
         setattr(found, key, value)
     found.write(folder / f"ingest/{stream}.integrity.json")
 
 
-def of_boat(folder: Path) -> None:
+def of_boat(folder):
     """Everything that a boat gives."""
     of_soundings(folder)
     make_trajectory(n=200, invalid=(slice(50, 70),)).write(folder / "orientation/trajectory_fused.parquet")
@@ -78,7 +78,7 @@ def of_boat(folder: Path) -> None:
     save(empty_figure("Sections", reason, twin=True), folder / "figures/sections.png", dpi=50, note=reason)
 
 
-def of_soundings(folder: Path) -> None:
+def of_soundings(folder):
     """An echo sounder alone."""
     path = make_trajectory(n=200, invalid=(slice(50, 70),))
     replace(path, cov_pose_wcs=path.cov_pose_wcs * 22500).write(folder / "orientation/trajectory.parquet")
@@ -92,7 +92,7 @@ def of_soundings(folder: Path) -> None:
     pd.DataFrame(numbers).to_csv(folder / "summary.csv", index=False)
 
 
-def of_change(folder: Path) -> None:
+def of_change(folder):
     """Two epochs: the numbers are those of its page."""
     found = [Finding("volume of erosion", "−12.6 ± 0.6 m³", "not zero, at 95 %")]
     Page(f"Change of the bank: {TITLE}", "Ground was lost.", found * 9).write(
@@ -104,13 +104,13 @@ def of_change(folder: Path) -> None:
         (folder / "deformation" / name).write_bytes(b"x")
 
 
-def of_photographs(folder: Path) -> None:
+def of_photographs(folder):
     found = [Finding("photographs with a pose", "5 of 5"), Finding("sigma0", "1.02", "consistent")]
     Page(f"Photographs: {TITLE}", "All have poses.", found).write(folder / "photographs/index.html")
     (folder / "photographs/image_poses.csv").write_text("image\n")
 
 
-def of_calibration(folder: Path) -> None:
+def of_calibration(folder):
     Page(
         f"Calibration: {TITLE}", "", [Finding("lidar", "lever arm of 44.2 cm, rotation", "consistent")]
     ).write(folder / "calibration/index.html")
@@ -119,7 +119,7 @@ def of_calibration(folder: Path) -> None:
     (folder / "calibration/boat.yaml").write_text("x")
 
 
-def of_nothing(folder: Path) -> None:
+def of_nothing(folder):
     """Boards alone make neither page nor picture."""
     (folder / "calibration").mkdir()
     (folder / "calibration/board_camera_lidar.yaml").write_text("x")
@@ -130,7 +130,7 @@ KINDS = {each.__name__[3:]: each for each in (
 )}  # fmt: skip
 
 
-def front(tmp_path: Path, kind: str, **more) -> Path:
+def front(tmp_path, kind, **more):
     """The front page of a campaign of that kind."""
     folder = tmp_path / "results" / kind
     folder.mkdir(parents=True)
@@ -148,14 +148,14 @@ def front(tmp_path: Path, kind: str, **more) -> Path:
 class Outline(HTMLParser):
     """Links, and how much text, how many pictures and list items follow each heading."""
 
-    def __init__(self, page: Path) -> None:
+    def __init__(self, page):
         super().__init__()
-        self.links: list[str] = []
-        self.ids: list[str] = []
-        self.parts: list[list] = []
+        self.links = []
+        self.ids = []
+        self.parts = []
         self.feed(page.read_text(encoding="utf-8"))
 
-    def handle_starttag(self, tag: str, attrs) -> None:
+    def handle_starttag(self, tag, attrs):
         found = dict(attrs)
         self.links += [found["href"]] if "href" in found else []
         self.ids += [found["id"]] if "id" in found else []
@@ -182,7 +182,7 @@ def test_every_link_leads_somewhere_and_no_section_is_empty(tmp_path, kind):
     assert not re.search(r'(src|href)="(?!data:)[^"]*//', page.read_text())
 
 
-def words(page: Path) -> str:
+def words(page):
     """The page without its tags, spaces as one."""
     text = re.sub(r"<style>.*?</style>|<[^>]+>", " ", page.read_text(), flags=re.DOTALL)
     return " ".join(text.replace("&amp;", "&").split())
@@ -268,7 +268,7 @@ def test_a_picture_keeps_its_reason(tmp_path):
 def test_a_picture_with_nothing_to_show_stops_no_survey(repository, tmp_path, monkeypatch):
     """The job of every picture: what its drawing function refuses becomes a panel with the reason."""
 
-    def draw() -> None:
+    def draw():
         raise InputError("no point lies on the bank", expected="one at least")
 
     drawing = ModuleType("drawing_of_nothing")
@@ -290,7 +290,7 @@ def test_a_page_of_others_is_refused(tmp_path):
         )  # fmt: skip
 
 
-def find_axe(repository: Path) -> str:
+def find_axe(repository):
     """The program of axe-core; the test is skipped where it is not."""
     path = Path(os.environ.get("THALWEG_AXE", repository / "node_modules/axe-core/axe.min.js"))
     if not path.is_file():

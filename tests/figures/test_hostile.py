@@ -1,9 +1,7 @@
 """No text of data becomes a part of a page or a program, whichever field of whichever page it stands in."""
 
 import re
-from collections.abc import Callable
 from html.parser import HTMLParser
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -12,7 +10,6 @@ from PIL import Image
 from pyproj import CRS
 
 from tests.figures.browser import Browser
-from thalweg.core import Frame
 from thalweg.figures import Finding, Page, write_front_page
 from thalweg.figures.catalogue import CATALOGUE, CONTROL, Entry, catalogue_page
 from thalweg.figures.images import orientation_page
@@ -28,7 +25,7 @@ HARMLESS = "x"
 """Pages have the same elements with either."""
 
 
-def every_method(text: str, folder: Path) -> Page:
+def every_method(text, folder):
     """Each way to bring a text onto a page."""
     Image.new("RGB", (2, 2)).save(folder / "p.png")
     table = pd.DataFrame({text: [text, text], f"{text}2": [1.0, 2.0]})
@@ -40,7 +37,7 @@ def every_method(text: str, folder: Path) -> Page:
     return page
 
 
-def photographs(text: str, folder: Path) -> Page:
+def photographs(text, folder):
     """Names of pictures, cameras (EXIF), points, notes."""
     number = dict.fromkeys(("images", "redundancy", "tie_points"), 3) | {"sigma0": 1.0, "marks_a_point": 3.0}
     facts = number | {
@@ -57,7 +54,7 @@ def photographs(text: str, folder: Path) -> Page:
     return orientation_page(facts, images, control, {}, captions={}, title=text)
 
 
-def catalogue(text: str, folder: Path) -> Page:
+def catalogue(text, folder):
     """Titles and remarks of campaigns, and what they calibrated."""
     of = {"double": 1.0, "bool": True, "int64": 1}
     row = {each.name: of.get(str(each.type), text) for each in CATALOGUE}
@@ -67,18 +64,16 @@ def catalogue(text: str, folder: Path) -> Page:
     return catalogue_page([entry], pd.DataFrame([row]), control)
 
 
-PAGES: dict[str, Callable[[str, Path], Page]] = {
-    each.__name__: each for each in (every_method, photographs, catalogue)
-}
+PAGES = {each.__name__: each for each in (every_method, photographs, catalogue)}
 
 
-def local_crs_called(name: str) -> Frame:
+def local_crs_called(name):
     """A coordinate system whose name is any text, as a cloud may state it."""
     quoted = name.replace('"', '""').replace("{", "(")  # else pyproj takes it for JSON
     return CRS.from_wkt(f'LOCAL_CS["{quoted}",UNIT["metre",1],AXIS["Easting",EAST],AXIS["Northing",NORTH]]')
 
 
-def made_of(text: str, folder: Path) -> dict[str, Path]:
+def made_of(text, folder):
     """All pages with a text in each of their fields."""
     found = {}
     for name, make in PAGES.items():
@@ -119,22 +114,22 @@ def hostile(tmp_path_factory):
 class Elements(HTMLParser):
     """Elements with the names of their attributes, in order, and the texts of scripts."""
 
-    def __init__(self, page: Path) -> None:
+    def __init__(self, page):
         super().__init__()
-        self.found: list[tuple[str, ...]] = []
-        self.scripts: list[str] = []
-        self.addresses: list[str] = []
+        self.found = []
+        self.scripts = []
+        self.addresses = []
         self.feed(page.read_text(encoding="utf-8"))
         self.close()
 
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+    def handle_starttag(self, tag, attrs):
         self.found.append((tag, *(name for name, _ in attrs)))
         self.addresses += [str(value) for name, value in attrs if name in ("href", "src")]
 
-    def handle_comment(self, data: str) -> None:
+    def handle_comment(self, data):
         self.found.append(("comment", data))
 
-    def handle_data(self, data: str) -> None:
+    def handle_data(self, data):
         if self.cdata_elem == "script":
             self.scripts.append(data)
 

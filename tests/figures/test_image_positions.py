@@ -3,33 +3,20 @@
 import numpy as np
 import pandas as pd
 
-from thalweg.core import LocalFrame
+from tests.core.conftest import image_poses_of
 from thalweg.figures.images.photographs import image_positions
-from thalweg.images.model import ControlPoints, ImagePoses
+from thalweg.images.model import ControlPoints
 
-FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
 T0 = 178_649_913.4
 
 
 def poses(n=20):
     """Images along a track to the east that look to the south; two without a pose."""
-    oriented = ~np.isin(np.arange(n), [4, 11])
+    k = np.arange(n, dtype=float)
     # x to the west, y down, z to the south
-    R = np.array([[-1.0, 0, 0], [0, 0, -1.0], [0, -1.0, 0]])
-    return ImagePoses(
-        frame=FRAME,
-        images=tuple(f"{k}.jpg" for k in range(n)),
-        t_gps_s=T0 + np.arange(n, dtype=float),
-        sigma_t_s=np.full(n, 0.02),
-        oriented=oriented,
-        reasons=tuple("" if o else "blurred" for o in oriented),
-        centre_wcs_m=np.column_stack([2.0 * np.arange(n), np.zeros(n), np.ones(n)]),
-        R_wcs_ccs=np.tile(R, (n, 1, 1)),
-        cov_pose_wcs=np.tile(1e-4 * np.eye(6), (n, 1, 1)),
-        cov_next=np.zeros((n, 6, 6)),
-        n_marks=np.full(n, 50.0),
-        rms_px=np.full(n, 0.4),
-    )
+    R = [[-1.0, 0, 0], [0, 0, -1.0], [0, -1.0, 0]]
+    centre = np.column_stack([2.0 * k, 0.0 * k, np.ones(n)])
+    return image_poses_of(centre, R, T0 + k, 1e-4, oriented=~np.isin(k, [4, 11]))
 
 
 def surveyed(names="ABCDE"):

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.testing import assert_allclose
 from PIL import Image
 
 from thalweg.core import CoverageError, InputError
@@ -74,15 +75,15 @@ def test_paths_of_light_obey_snell_and_end_in_the_depth(sensor):
     sheet, window = sensor.sheet, sensor.window
     beams = sheet.beams([-0.3, 0.0, 0.4])
     paths = beam_paths(sheet.origin_lcs_mm, beams, window, 80.0)
-    np.testing.assert_allclose(paths[:, 0], np.broadcast_to(sheet.origin_lcs_mm, (3, 3)))
+    assert_allclose(paths[:, 0], np.broadcast_to(sheet.origin_lcs_mm, (3, 3)))
     # rounding of numbers of some hundred millimetres
-    np.testing.assert_allclose(paths[:, 1, 2], 0.0, atol=1e-9)
-    np.testing.assert_allclose(window.depth_mm(paths[:, 2]), 0.0, atol=1e-9)
-    np.testing.assert_allclose(window.depth_mm(paths[:, 3]), 80.0, atol=1e-9)
+    assert_allclose(paths[:, 1, 2], 0.0, atol=1e-9)
+    assert_allclose(window.depth_mm(paths[:, 2]), 0.0, atol=1e-9)
+    assert_allclose(window.depth_mm(paths[:, 3]), 80.0, atol=1e-9)
     parts = np.diff(paths, axis=1)
     sines = np.linalg.norm(parts[..., :2], axis=2) / np.linalg.norm(parts, axis=2)
     indices = np.array([window.n_air, window.n_glass, window.n_water])
-    np.testing.assert_allclose(sines * indices, (sines * indices)[:, :1].repeat(3, 1), rtol=1e-9)
+    assert_allclose(sines * indices, (sines * indices)[:, :1].repeat(3, 1), rtol=1e-9)
 
 
 def test_images_are_found_by_name(tmp_path):
@@ -109,8 +110,8 @@ def test_one_tilt_bends_the_line_to_one_side_two_to_both(look):
         bends.append(int(np.sum(np.diff(turns) != 0)))
         points = sheet_paths(tilted_sheet(first, second))[:, 3]
         along, off = along_and_off(points[:, 0], points[:, 1])
-        np.testing.assert_allclose(line.get_xdata(), along)
-        np.testing.assert_allclose(line.get_ydata(), off)
+        assert_allclose(line.get_xdata(), along)
+        assert_allclose(line.get_ydata(), off)
     # P4 Fig. 2: a bow, and an S with one turning point
     assert bends == [0, 1]
 
@@ -132,7 +133,7 @@ def test_departures_are_those_from_a_smooth_line():
     smooth = line_table(np.where(np.arange(200) == 50, x + 9.0, x), y)
     off = departures_px(line_table(x + 0.25, y), smooth)
     # the outlier of nine pixels among the 200 is left out of the curve
-    np.testing.assert_allclose(off, 0.25, atol=1e-6)
+    assert_allclose(off, 0.25, atol=1e-6)
 
 
 def test_methods_are_compared_on_one_line(rng, look):

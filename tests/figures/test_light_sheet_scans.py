@@ -53,7 +53,7 @@ def files(tmp_path):
     return [tmp_path / name for name in written]
 
 
-def picture(path: Path) -> Path:
+def picture(path):
     path.parent.mkdir(parents=True, exist_ok=True)
     Image.new("L", (8, 8)).save(path)
     return path

@@ -3,6 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.testing import assert_allclose
 
 from thalweg.core import CoverageError, InputError
 from thalweg.lightsheet.figures.lines import SIDE, gauss_row, line_patch, middle_point
@@ -49,7 +50,7 @@ def test_the_template_lies_on_the_line(image, points, look):
         "abc", (SIDE, SIDE)
     )
     template, seen, rest = (np.asarray(pictures[gid].get_array()) for gid in "abc")
-    np.testing.assert_allclose(rest, seen - template)
+    assert_allclose(rest, seen - template)
     # rounding of grey values, and 7 rows of slope 0.02 px on a flank of up to 61 / px
     assert np.abs(rest).max() < 0.5 + 7.5 * 0.02 * PEAK * 1.22 / WIDTH
     assert template.max() == pytest.approx(GROUND + PEAK, rel=0.05)
@@ -57,7 +58,7 @@ def test_the_template_lies_on_the_line(image, points, look):
 
 def test_a_gaussian_falls_to_its_share_at_the_half_width(points):
     values = gauss_row(np.array([0.0, WIDTH, -WIDTH]), points.iloc[0])
-    np.testing.assert_allclose(values, GROUND + PEAK * np.array([1.0, np.exp(-2), np.exp(-2)]))
+    assert_allclose(values, GROUND + PEAK * np.array([1.0, np.exp(-2), np.exp(-2)]))
 
 
 def test_the_patch_must_lie_inside(image, points):

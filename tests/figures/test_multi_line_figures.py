@@ -4,6 +4,7 @@ import matplotlib as mpl
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from thalweg.core import GeometryError, InputError, rotation_opk
 from thalweg.figures.calibration.field import PLAN
@@ -55,7 +56,7 @@ def test_across_is_level_and_at_right_angles_to_the_lines(lines):
 # ---------------------------------------------------------------- images
 
 
-def plane_object(sensor) -> SeenObject:
+def plane_object(sensor):
     """A level square below the sensor, and an empty image of 64 pixels."""
     x, y = np.meshgrid([-200.0, 200.0], [-250.0, 150.0])
     vertices = np.stack([x.ravel(), y.ravel(), np.full(4, -sensor.window.thickness_mm - 120.0)], axis=1)
@@ -104,7 +105,7 @@ def test_objects_are_read_in_order(tmp_path):
     np.savez(tmp_path / "all.npz", **arrays)
     found = read_objects(tmp_path / "all.npz")
     assert list(found) == list(NAMES)
-    np.testing.assert_array_equal(found["plane"].faces, seen.faces)
+    assert_array_equal(found["plane"].faces, seen.faces)
     del arrays["image_plane"]
     np.savez(tmp_path / "some.npz", **arrays)
     with pytest.raises(InputError, match="no plane"):
@@ -123,7 +124,7 @@ def test_a_mesh_covers_what_it_covers_and_hides_what_is_behind():
     faces = np.array([[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]])
     vertices = np.concatenate([low, roof])
     picture = mesh_picture(vertices, faces, PLAN, colours=mpl.colormaps["gray"], pixels=100)
-    np.testing.assert_allclose(picture.extent, (0.0, 100.0, 0.0, 100.0), atol=1e-9)
+    assert_allclose(picture.extent, (0.0, 100.0, 0.0, 100.0), atol=1e-9)
     assert picture.covered == 1.0
     # seen from above: black ground, and white light times the shade of a level face on the roof
     bright = picture.rgba[..., 0] > 0.1

@@ -5,9 +5,8 @@ whose examples are caught from their own tests are tried beside the figures, in 
 """
 
 import ast
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Final
 
 import numpy as np
 import pandas as pd
@@ -30,12 +29,12 @@ from thalweg.ingest import GNSS_POSITION, IntegrityReport
 from thalweg.ingest.ppk import PpkOptions, PpkSolution
 from thalweg_lab.reproduction import Results, judged, read_ledger
 
-SOURCE: Final = Path(__file__).parents[2] / "src"
-XYZ: Final = {"x": 1.0, "y": 2.0, "z": 3.0}
-ENU: Final = {"east": 1.0, "north": 2.0, "up": 3.0}
+SOURCE = Path(__file__).parents[2] / "src"
+XYZ = {"x": 1.0, "y": 2.0, "z": 3.0}
+ENU = {"east": 1.0, "north": 2.0, "up": 3.0}
 
 
-def _bed(_: Path) -> dict[str, Any]:
+def _bed(_):
     crossings = {"n": 9, "rms_m": 0.1, "predicted_m": 0.1, "normalised_square": 1.0, "estimated": True}
     crossings |= {"slow_factor": 1.2, "slow_factor_sigma_log": 0.1, "time_s": 9.0, "left_out": 1}
     crossings |= {"normalised_square_after": 1.0}
@@ -68,7 +67,7 @@ def _bed(_: Path) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _catalogue(_: Path) -> dict[str, Any]:
+def _catalogue(_):
     of = {"double": 1.0, "bool": True, "int64": 1}
     row = {each.name: of.get(str(each.type), "a") for each in CATALOGUE}
     control = {each.name: of.get(str(each.type), "a") for each in CONTROL}
@@ -78,7 +77,7 @@ def _catalogue(_: Path) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _cloud(_: Path) -> dict[str, Any]:
+def _cloud(_):
     measured = {"n": 90, "bias_m": 0.1, "rmse_m": 0.1, "median_m": 0.1, "nmad_m": 0.1}
     moved = {"done": True, "all": measured, "without_outliers": measured, "f": 9.0, "cells": 9, "cell_m": 1.0}
     moved |= {"f_exceeded_in_5_percent": 3.0, "shift_m": XYZ, "rotation_deg": XYZ, "sigma_shift_m": XYZ}
@@ -88,43 +87,43 @@ def _cloud(_: Path) -> dict[str, Any]:
     return {"facts": facts | {"notes": ["told"]}, "pictures": {}, "captions": {}, "title": "a cloud"}
 
 
-def _surveyed() -> pd.DataFrame:
+def _surveyed():
     numbers = [f"{s}without_{a}_mm" for s in ("", "sigma_") for a in ENU]
     rows = {name: [1.0, 2.0] for name in (*numbers, "rms_px", "normalised")}
     names = {"point": ["1", "2"], "role": ["control", "check"], "images": [3, 4]}
     return pd.DataFrame(names | {"suspect": ["", ""], "reason": ["", ""]} | rows)
 
 
-def _poses() -> pd.DataFrame:
+def _poses():
     numbers = {name: [1.0, 2.0] for name in ("east_m", "rms_px", "qx", "qy", "qz", "qw")}
     return pd.DataFrame({"image": ["a.jpg", "b.jpg"], "refused": ["", "no mark"], **numbers})
 
 
-_CHECK: Final = {"points": 2, "rmse_mm": ENU, "predicted_mm": ENU, "normalised": 1.0, "independent": 6}
-_LENS: Final = {"c_px": {"value": 1.0, "sigma": 0.1}}
-_NAMED: Final = {"pictures": {}, "captions": {}, "title": "photographs"}
+_CHECK = {"points": 2, "rmse_mm": ENU, "predicted_mm": ENU, "normalised": 1.0, "independent": 6}
+_LENS = {"c_px": {"value": 1.0, "sigma": 0.1}}
+_NAMED = {"pictures": {}, "captions": {}, "title": "photographs"}
 
 
-def _finished(_: Path) -> dict[str, Any]:
+def _finished(_):
     facts = {"check_points": _CHECK, "files": [{"program": "x"}], "sigmas_from_settings": {"a": True}}
     facts |= {"oriented": 2, "images": 2, "sigma_position_mm": ENU, "notes": ["told"]}
     return {"facts": facts, "poses": _poses(), "control": _surveyed(), **_NAMED}
 
 
-def _orientation(_: Path) -> dict[str, Any]:
+def _orientation(_):
     facts = {"check_points": _CHECK, "images": 2, "sigma_position_mm": ENU, "sigma0": 1.0, "redundancy": 9}
     facts |= {"tie_points": 9, "marks_a_point": 3.0, "cameras": {"a": _LENS}, "notes": ["told"]}
     images = pd.DataFrame({"image": ["a", "b"], "reason": ["", "no"], "rms_px": [1.0, 2.0]})
     return {"facts": facts, "images": images, "control": _surveyed(), **_NAMED}
 
 
-def _fixed(_: Path) -> dict[str, Any]:
+def _fixed(_):
     facts = {"normalised": 1.0, "degrees": 9, "pictures": 2, "with_pose": 1, "notes": ["told"]}
     facts |= {"spread_m": XYZ, "predicted_m": XYZ, "place_m": XYZ, "sigma_m": XYZ, "rms_px": 1.0}
     return {"facts": facts | {"lens": _LENS}, "poses": _poses(), **_NAMED}
 
 
-def _front(folder: Path) -> dict[str, Any]:
+def _front(folder):
     summary = pd.DataFrame({"quantity": ["a", "b"], "value": [1.0, 2.0], "unit": ["m", "1"]})
     (folder / "a.html").write_text("<h1>A</h1>\n<p>Words.</p>")
     summary.to_csv(folder / "summary.csv", index=False)
@@ -135,7 +134,7 @@ def _front(folder: Path) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _gnss(_: Path) -> dict[str, Any]:
+def _gnss(_):
     track = make_trajectory()
     lat, lon, h = track.frame.to_geodetic(track.position_wcs_m)
     sigma = {f"sigma_{a}_m": 0.02 for a in ENU}
@@ -149,12 +148,12 @@ def _gnss(_: Path) -> dict[str, Any]:
     return {"solution": _solution(table, report), "title": "a track"}
 
 
-def _solution(table: pd.DataFrame, report: IntegrityReport) -> PpkSolution:
+def _solution(table, report):
     options = PpkOptions(base_llh=(51.0, 13.0, 300.0))
     return PpkSolution(positions=table, report=report, options=options, base_ecef_m=np.zeros(3))
 
 
-def _ledger(folder: Path) -> dict[str, Any]:
+def _ledger(folder):
     entries = read_ledger(SOURCE.parent / "resources/published/light_sheet.yaml")
     rows = judged(entries, Results({}, {}, None)).groupby("verdict").head(2)
     rows.to_csv(folder / "ledger.csv", index=False)
@@ -162,7 +161,7 @@ def _ledger(folder: Path) -> dict[str, Any]:
     return {"ledger": pd.read_csv(folder / "ledger.csv"), "headlines": headlines, "path": folder / "l.html"}
 
 
-OWN: Final[Mapping[str, Callable[[Path], dict[str, Any]]]] = {
+OWN = {
     "figures.accuracy.cloud:cloud_page": _cloud,
     "figures.bathymetry.page:bed_page": _bed,
     "figures.catalogue:catalogue_page": _catalogue,
@@ -176,7 +175,7 @@ OWN: Final[Mapping[str, Callable[[Path], dict[str, Any]]]] = {
 """Arguments by function."""
 
 
-def page_functions() -> Iterator[str]:
+def page_functions():
     """All that build a page, as ``module:function``; ``thalweg.`` is left out."""
     for file in sorted(SOURCE.glob("**/figures/**/*.py")):
         module = ".".join(file.relative_to(SOURCE).with_suffix("").parts).removeprefix("thalweg.")
@@ -193,7 +192,7 @@ def test_every_function_that_makes_a_page_is_tried():
     assert sorted(tried) == sorted(page_functions()), "add an example of it"
 
 
-def facts_in(value: Any, state: str) -> Any:
+def facts_in(value, state):
     """Facts of a JSON file without a number, or whose counts are zero and lists empty."""
     if isinstance(value, Mapping):
         return {key: facts_in(each, state) for key, each in value.items()}
@@ -204,7 +203,7 @@ def facts_in(value: Any, state: str) -> Any:
     return 0 if type(value) is int and state == "empty" else value
 
 
-def tried(name: str, example: Mapping[str, Any]) -> Iterator[tuple[str, Callable[[], dict[str, Any]]]]:
+def tried(name, example):
     """Cases of tables, and of the facts beside them."""
     yield "all as it is", lambda: dict(example)
     yield "all none", lambda: {key: [] if isinstance(v, list) else v for key, v in example.items()}

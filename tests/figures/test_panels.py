@@ -6,9 +6,7 @@ that a test of its own gives to it, which are caught while that test runs.
 
 import ast
 import inspect
-from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, Final
 
 import numpy as np
 import pandas as pd
@@ -28,7 +26,7 @@ from tests.figures.panel_states import (
 )
 from thalweg.core import ThalwegError
 
-EXAMPLES: Final = {
+EXAMPLES = {
     "bathymetry/test_soundings.py": {
         "figures.bathymetry.pictures:draw_sounding_lines": "test_each_line_is_drawn_with_what_it_lost"
     },
@@ -153,7 +151,7 @@ EXAMPLES: Final = {
 
 """Test by file and function that gives an example of a figure function."""
 
-NO_EXAMPLE: Final = {
+NO_EXAMPLE = {
     "figures.survey.strips:corrections": "a whole adjustment: tests/lidar/test_strips.py",
     "figures.survey.strips:distances": "a whole adjustment: tests/lidar/test_strips.py",
     "figures.bathymetry.pictures:bed_picture": "a bed and its rasters: tests/workflow/test_tiny.py",
@@ -169,11 +167,11 @@ NO_EXAMPLE: Final = {
 """Figure functions that no test here calls, and why."""
 
 
-def _comparison(_: Path) -> dict[str, Any]:
+def _comparison(_):
     return {"table": make_comparison(np.random.default_rng(1), n=400).table}
 
 
-def _poses(_: Path) -> dict[str, Any]:
+def _poses(_):
     k = np.arange(5.0)
     rows = {f"{axis}_m": k for axis in "xyz"}
     rows |= {f"sigma_change_{axis}_m": 0.1 + 0 * k for axis in "xyz"}
@@ -183,7 +181,7 @@ def _poses(_: Path) -> dict[str, Any]:
     }
 
 
-def _scan(_: Path) -> dict[str, Any]:
+def _scan(_):
     k = np.arange(300)
     points = {"file": np.where(k < 150, "a.png", "b.png"), "x_m": 1e-4 * (k % 150), "y_m": 1e-3 * (k // 150)}
     points |= {
@@ -197,7 +195,7 @@ def _scan(_: Path) -> dict[str, Any]:
     return {"distances": pd.DataFrame(points), "facts": {"reference": "mesh"}, "scan": "a", "title": "b"}
 
 
-def _left_out(folder: Path) -> dict[str, Any]:
+def _left_out(folder):
     k = np.arange(40.0)
     rows = {
         "group": np.where(k < 20, "line", "block"),
@@ -209,13 +207,13 @@ def _left_out(folder: Path) -> dict[str, Any]:
     return {"predicted": folder / "predicted.parquet", "title": "a river", "twin": False}
 
 
-def _profile(folder: Path) -> dict[str, Any]:
+def _profile(folder):
     names = ("s_m", "thalweg_m", "sigma_thalweg_m", "mean_bed_m", "level_m")
     pd.DataFrame({name: np.arange(5.0) for name in names}).to_csv(folder / "profile.csv")
     return {"profile": folder / "profile.csv", "title": "a river", "twin": False}
 
 
-PAGES: Final = {
+PAGES = {
     "lidar/test_strips.py": {"figures.survey.strips:strips_page": "test_along_a_wall_nothing_is_told"},
     "figures/test_accuracy_page.py": {
         "figures.accuracy.page:accuracy_page": "test_the_truth_has_a_section_of_its_own"
@@ -238,7 +236,7 @@ PAGES: Final = {
 }
 """The same for functions that make a page."""
 
-OWN: Final[Mapping[str, Callable[[Path], dict[str, Any]]]] = {
+OWN = {
     "figures.accuracy.cloud:distances_in_plan": _comparison,
     "figures.bathymetry.pictures:draw_left_out": _left_out,
     "figures.bathymetry.terrain:draw_long_profile": _profile,
@@ -248,7 +246,7 @@ OWN: Final[Mapping[str, Callable[[Path], dict[str, Any]]]] = {
 """Examples made here."""
 
 
-def figure_functions() -> list[str]:
+def figure_functions():
     """All of them, as ``module:function``; ``thalweg.`` is left out."""
     found = []
     source = Path(__file__).parents[2] / "src"
@@ -263,7 +261,7 @@ def figure_functions() -> list[str]:
     return found
 
 
-TESTED: Final = [name for name in figure_functions() if name not in NO_EXAMPLE]
+TESTED = [name for name in figure_functions() if name not in NO_EXAMPLE]
 
 
 @pytest.fixture(scope="module")
@@ -276,7 +274,7 @@ def examples(tmp_path_factory):
 
     class Catcher:
         @pytest.hookimpl(hookwrapper=True)
-        def pytest_runtest_call(self, item: pytest.Item) -> Iterator[None]:
+        def pytest_runtest_call(self, item):
             name = wanted[item.nodeid.split("tests/")[-1]]
             draw = inspect.unwrap(function_of(name))
             code, draw.__code__ = draw.__code__, catch.__code__
@@ -318,9 +316,9 @@ def test_every_figure_function_is_called_here():
     assert set(listed) == set(figure_functions()), "add an example of it, made here or of its test"
 
 
-def drawn_values(figure: Figure) -> list[Any]:
+def drawn_values(figure):
     """Numbers of all lines, marks, bars and pictures, in their order."""
-    found: list[Any] = []
+    found = []
     for ax in figure.axes:
         found += [line.get_xydata() for line in ax.lines]
         found += [each for mark in ax.collections for each in (mark.get_offsets(), mark.get_array())]

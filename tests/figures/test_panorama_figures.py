@@ -11,12 +11,7 @@ from thalweg.figures.panorama import rig_field, rig_residuals
 from thalweg.settings.sections import Rig as RigSettings
 
 
-def words(figure) -> str:
-    texts = [text.get_text() for text in figure.findobj(match=lambda a: hasattr(a, "get_text"))]
-    return " ".join(texts).replace("\n", " ")
-
-
-def test_residuals_are_split_along_and_across_the_radius():
+def test_residuals_are_split_along_and_across_the_radius(look):
     rng = np.random.default_rng(1)
     n = 400
     azimuth, radial = rng.uniform(-180, 180, n), 0.02 + 0.001 * rng.standard_normal(n)
@@ -32,13 +27,13 @@ def test_residuals_are_split_along_and_across_the_radius():
         }
     )
     figure = rig_residuals(table, title="Residuals", twin=False)
-    assert "n = 399 marks of 400" in words(figure)
+    assert "n = 399 marks of 400" in look.texts(figure)
     titles = [ax.get_title(loc="left") for ax in figure.axes]
     assert titles[0] == "front lens, radial, rms 0.020 px"
     assert titles[1] == "front lens, tangential, rms 0.000 px"
 
 
-def test_marks_of_the_field_lie_where_their_angles_say():
+def test_marks_of_the_field_lie_where_their_angles_say(look):
     lens = np.array([40.0, 40.0, 70.0, 60.0, 0, 0, 0, 0])
     cameras = {
         name: Camera(model="fisheye", size_px=(140, 120), parameters=lens, name=name)
@@ -66,11 +61,11 @@ def test_marks_of_the_field_lie_where_their_angles_say():
     # r = f theta: 90 degrees to the right, and 45 downwards, which was left out
     assert dots[0] == pytest.approx(np.array([[70 + 40 * np.pi / 2, 60.0]]))
     assert dots[1] == pytest.approx(np.array([[70.0, 60 + 40 * np.pi / 4]]))
-    assert "n = 2 marks" in words(figure)
+    assert "n = 2 marks" in look.texts(figure)
     assert back.lines[0].get_xydata() == pytest.approx(np.array([[70 - 40 * np.pi / 3, 60.0]]))
 
 
-def test_the_check_of_clock_and_mount_shows_its_optimum():
+def test_the_check_of_clock_and_mount_shows_its_optimum(look):
     check = pd.DataFrame(
         {
             "quantity": ["clock_s", "turn_x_deg", "turn_y_deg", "turn_z_deg"],
@@ -86,7 +81,7 @@ def test_the_check_of_clock_and_mount_shows_its_optimum():
         for name in check["quantity"]
     )
     figure = colour_check(check, curves, title="Check", twin=True)
-    told = words(figure)
+    told = look.texts(figure)
     assert "shift +0.300 ± 0.020: shifted" in told
     assert "n = 12 photographs" in told
     line = figure.axes[0].lines[1].get_xydata()

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from thalweg.figures.accuracy.reference_view import EYE_M, PanoramaView, reference_view, viewpoint_on_track
 from thalweg.figures.cloud import Splat
@@ -24,9 +25,9 @@ def test_columns_run_on_across_north():
     a = np.deg2rad([355.0, 5.0, 15.0])
     points = 10.0 * np.stack([np.sin(a), np.cos(a), np.zeros(3)], axis=1)
     column, row, depth = view_at().project(points).T
-    np.testing.assert_allclose(column, [5.0, 15.0, 25.0])
-    np.testing.assert_allclose(row, 10.0)
-    np.testing.assert_allclose(depth, 10.0)
+    assert_allclose(column, [5.0, 15.0, 25.0])
+    assert_allclose(row, 10.0)
+    assert_allclose(depth, 10.0)
     assert view_at().extent_deg == pytest.approx((350.0, 390.0, -10.0, 10.0))
 
 

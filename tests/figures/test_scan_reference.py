@@ -3,6 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.testing import assert_allclose
 from PIL import Image
 
 from thalweg.core import InputError
@@ -65,7 +66,7 @@ def test_a_picture_lies_where_its_world_file_says(tmp_path):
     world.write_text("0.0005\n0\n0\n-0.0005\n-0.00475\n0.00225\n")
     photo, extent_mm = read_orthophoto(picture, world)
     assert photo.shape == (10, 20, 3)
-    np.testing.assert_allclose(extent_mm, (-5.0, 5.0, -2.5, 2.5), atol=1e-9)
+    assert_allclose(extent_mm, (-5.0, 5.0, -2.5, 2.5), atol=1e-9)
     for text, words in (("0.1\n0\n0\n-0.1\n0\n", "cannot be read"), ("0.1\n1\n0\n-0.1\n0\n0\n", "turned")):
         world.write_text(text)
         with pytest.raises(InputError, match=words):

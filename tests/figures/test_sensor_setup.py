@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from thalweg.core import CoverageError
 from thalweg.lightsheet.figures.sensor import in_section, pixel_size_mm, sensor_setup, tilt_deg
@@ -29,7 +30,7 @@ def test_a_pixel_on_a_level_is_as_large_as_its_image_says(sensor):
     # a step of a tenth of a millimetre in two directions, in the image
     steps = project(sensor, at + 0.1 * np.eye(3)[:2]) - xy
     mm_per_px = np.linalg.inv(steps / 0.1)
-    np.testing.assert_allclose(size, np.linalg.norm(mm_per_px, axis=1), rtol=1e-3)
+    assert_allclose(size, np.linalg.norm(mm_per_px, axis=1), rtol=1e-3)
 
 
 def test_the_section_holds_laser_and_camera(sensor):

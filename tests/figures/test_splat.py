@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from thalweg.core import GeometryError
 from thalweg.figures.cloud import Splat
@@ -49,7 +50,7 @@ def test_agrees_with_the_slow_renderer(rng, radius):
     depth, shown = splat.buffers(radius)
     slow_depth, slow_shown = slow_buffers(view, points, values, radius)
     # Half a step of the z-buffer.
-    np.testing.assert_allclose(depth, slow_depth, atol=0.5 * DEPTH_STEP_M + 1e-9)
+    assert_allclose(depth, slow_depth, atol=0.5 * DEPTH_STEP_M + 1e-9)
     # Points nearer than a step to each other may hide one another either way.
     different = ~np.isclose(shown, slow_shown, rtol=0, atol=0, equal_nan=True)
     assert different.mean() < 0.005
@@ -65,14 +66,14 @@ def test_chunks_and_order_do_not_matter(rng):
     for part in np.array_split(order, 7):
         pieces.add(points[part], values[part])
     for a, b in zip(whole.buffers(1), pieces.buffers(1), strict=True):
-        np.testing.assert_array_equal(a, b)
+        assert_array_equal(a, b)
 
 
 @pytest.mark.parametrize("azimuth", [0.0, 1.0, 4.0])
 @pytest.mark.parametrize("elevation", [0.0, 0.6, np.pi / 2])
 def test_view_axes_are_a_rotation(azimuth, elevation):
     axes = view_axes(azimuth, elevation)
-    np.testing.assert_allclose(axes @ axes.T, np.eye(3), atol=1e-15)
+    assert_allclose(axes @ axes.T, np.eye(3), atol=1e-15)
     # Right, up and away form a left-handed set, as a picture with depth does.
     assert np.linalg.det(axes) == pytest.approx(-1.0)
 

@@ -17,51 +17,31 @@ NO_LAGS = pd.DataFrame({"lag_significant": []})
 
 @pytest.fixture
 def reports():
+    def report(stream, first=None, last=None, **told):
+        return IntegrityReport(stream=stream, format="x", files=["a"], t_first_s=first, t_last_s=last, **told)
+
+    lidar = {
+        "model": "VLP-16", "counts": {"packets": 75_400, "points": 2_000_000}, "losses": {"packets": 3},
+        "rates_hz": {"packets": 753.5}, "gaps": [Gap(t_start_s=T0 + 50, duration_s=4.0)],
+        "details": {"host_minus_sensor_s": 0.36812},
+        "timing": StreamTiming(
+            pps_locked_share=0.9, pps_unlocked_start_s=4.0, pps_losses=1, unsynchronised_s=11.0,
+            unsynchronised=[(T0 + 6, T0 + 10), (T0 + 30, T0 + 37)],
+        ),
+    }  # fmt: skip
+    utc = {"time_scale": "utc", "synchronised": True}
     return [
-        IntegrityReport(
-            stream="lidar",
-            format="pcap",
-            files=["a"],
-            model="VLP-16",
-            time_scale="utc",
-            synchronised=True,
-            t_first_s=T0 + 10,
-            t_last_s=T0 + 110,
-            counts={"packets": 75_400, "points": 2_000_000},
-            losses={"packets": 3},
-            rates_hz={"packets": 753.5},
-            gaps=[Gap(t_start_s=T0 + 50, duration_s=4.0)],
-            details={"host_minus_sensor_s": 0.36812},
-            timing=StreamTiming(
-                pps_locked_share=0.9,
-                pps_unlocked_start_s=4.0,
-                pps_losses=1,
-                unsynchronised_s=11.0,
-                unsynchronised=[(T0 + 6, T0 + 10), (T0 + 30, T0 + 37)],
-            ),
-        ),
-        IntegrityReport(
-            stream="ins",
-            format="ANPP",
-            files=["b"],
-            time_scale="utc",
-            synchronised=True,
-            t_first_s=T0,
-            t_last_s=T0 + 100,
-            counts={"states": 5000},
-            rates_hz={"states": 50.0},
-        ),
-        IntegrityReport(
-            stream="depth",
-            format="NMEA",
-            files=["c"],
-            time_scale="host",
-            t_first_s=5.0,
-            t_last_s=65.0,
-            counts={"soundings": 600},
-        ),
-        IntegrityReport(stream="positions", format="pos", files=["d"]),
+        report("lidar", T0 + 10, T0 + 110, **utc, **lidar),
+        report("ins", T0, T0 + 100, **utc, counts={"states": 5000}, rates_hz={"states": 50.0}),
+        report("depth", 5.0, 65.0, time_scale="host", counts={"soundings": 600}),
+        report("positions"),
     ]
+
+
+def span(begin_gps_s, length_s, row):
+    """A bar on the axis: days since 1970 in float64 resolve 0.3 us."""
+    begin = pytest.approx(float(unix_from_gps(begin_gps_s)), abs=1e-5)
+    return begin, pytest.approx(length_s, abs=1e-5), row
 
 
 def bars(figure, gid):
@@ -73,30 +53,15 @@ def bars(figure, gid):
 
 def test_bars_are_spans_on_the_utc_axis(reports):
     found = bars(streams_in_time(reports, NO_LAGS), "stream")
-    # Days since 1970 in float64 resolve 0.3 us.
-    assert found == [
-        (pytest.approx(float(unix_from_gps(T0 + 10)), abs=1e-5), pytest.approx(100.0, abs=1e-5), 0),
-        (pytest.approx(float(unix_from_gps(T0)), abs=1e-5), pytest.approx(100.0, abs=1e-5), 1),
-    ]
+    assert found == [span(T0 + 10, 100.0, 0), span(T0, 100.0, 1)]
 
 
 def test_gaps_and_unsynchronised_parts(reports):
     figure = streams_in_time(reports, NO_LAGS)
-    ((start, length, row),) = bars(figure, "gap")
-    assert (start, length, row) == (
-        pytest.approx(float(unix_from_gps(T0 + 50)), abs=1e-5),
-        pytest.approx(4.0, abs=1e-5),
-        0,
-    )
-    before, part, whole = bars(figure, "unsynchronised")
-    for found, begin, length in ((before, T0 + 6, 4.0), (part, T0 + 30, 7.0)):
-        assert found == (
-            pytest.approx(float(unix_from_gps(begin)), abs=1e-5),
-            pytest.approx(length, abs=1e-5),
-            0,
-        )
+    assert bars(figure, "gap") == [span(T0 + 50, 4.0, 0)]
     # A stream without GPS time begins at the start of the axis.
-    assert whole == (pytest.approx(float(unix_from_gps(T0)), abs=1e-5), pytest.approx(60.0, abs=1e-5), 2)
+    parts = [span(T0 + 6, 4.0, 0), span(T0 + 30, 7.0, 0), span(T0, 60.0, 2)]
+    assert bars(figure, "unsynchronised") == parts
     assert all(p.get_hatch() for p in by_gid(figure, "unsynchronised"))
 
 

@@ -4,7 +4,6 @@ import matplotlib as mpl
 import numpy as np
 import pandas as pd
 import pytest
-from matplotlib.figure import Figure
 
 from thalweg.core import CoverageError, InputError
 from thalweg.figures import style
@@ -93,7 +92,7 @@ def test_legend_below_fits_the_page():
 
 
 @style.styled
-def two_panels(table: pd.DataFrame, words: str = "") -> Figure:
+def two_panels(table, words=""):
     figure = style.new_figure(80.0, f"mean {table['b'].mean():+.1f} cm")
     for ax, name in zip(figure.subplots(1, 2), "ab", strict=True):
         drawn = ax.scatter(table["x"], table[name], c=table[name])
@@ -143,7 +142,7 @@ def test_a_mistake_of_the_program_stays_one():
 
 def test_a_line_of_one_point_is_seen():
     @style.styled
-    def one() -> Figure:
+    def one():
         figure = style.new_figure(80.0, "n = 1")
         ax = figure.subplots()
         ax.plot([1.0, np.nan], [2.0, 3.0])
@@ -155,7 +154,7 @@ def test_a_line_of_one_point_is_seen():
 
 def test_the_panel_above_takes_over_the_shared_axis():
     @style.styled
-    def two() -> Figure:
+    def two():
         figure = style.new_figure(80.0, "n = 2")
         above, below = figure.subplots(2, 1, sharex=True)
         above.plot([1.0, 2.0], [2.0, 3.0])

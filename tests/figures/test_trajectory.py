@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from tests.figures.conftest import artists as by_gid
 from thalweg.figures.survey import sigma_norm
@@ -42,8 +43,8 @@ def test_sigmas_are_those_of_the_trajectory_in_their_units(trajectory):
     figure = trajectory_sheet(dataclasses.replace(trajectory, cov_pose_wcs=cov))
     (up,), (heading,) = by_gid(figure, "sigma-up"), by_gid(figure, "sigma-heading")
     valid = trajectory.valid
-    np.testing.assert_allclose(up.get_ydata()[valid], 5.0)
-    np.testing.assert_allclose(heading.get_ydata()[valid], np.rad2deg(4e-3))
+    assert_allclose(up.get_ydata()[valid], 5.0)
+    assert_allclose(heading.get_ydata()[valid], np.rad2deg(4e-3))
 
 
 def test_a_constant_sigma_is_not_stretched_into_noise():

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.testing import assert_allclose
 from PIL import Image
 from pyproj import CRS
 from scipy.spatial import cKDTree
@@ -37,13 +38,13 @@ def browser(tmp_path_factory):
         yield opened
 
 
-def hills() -> np.ndarray:
+def hills():
     """A waved surface (n, 3), 160 m wide, a point every 25 cm: 410,881 points."""
     x, y = np.meshgrid(*[np.arange(-80, 80.1, SPACING_M)] * 2)
     return np.stack([x, y, 4 * np.sin(x / 12) + 3 * np.cos(y / 9)], axis=-1).reshape(-1, 3)
 
 
-def whole_view(xyz: np.ndarray) -> View:
+def whole_view(xyz):
     """Hills with all quantities; red where north is positive, blue elsewhere."""
     n = len(xyz)
     return View(
@@ -59,7 +60,7 @@ def whole_view(xyz: np.ndarray) -> View:
     )
 
 
-def decoded(folder: Path, key: str) -> tuple[np.ndarray, dict]:
+def decoded(folder, key):
     """Points (n, 3) of a node's file, and the facts of the page."""
     facts = json.loads(re.search(r"const DATA = (.*);", (folder / "index.html").read_text())[1])
     name, letters = re.fullmatch(
@@ -191,7 +192,7 @@ def test_clouds_of_several_chains_are_told_apart(tmp_path, capsys):
     assert "<h1>ins.laz, camera.laz</h1>" in (tmp_path / "v/index.html").read_text()
     view = read_views([Path(path) for path in both])
     assert (view.extras["cloud"][0] == np.repeat([1, 2], len(xyz))).all()
-    np.testing.assert_allclose(view.xyz_m[len(xyz) :] - xyz, np.tile([0, 0, 0.5], (len(xyz), 1)), atol=2e-3)
+    assert_allclose(view.xyz_m[len(xyz) :] - xyz, np.tile([0, 0, 0.5], (len(xyz), 1)), atol=2e-3)
     assert (view.intensity == np.tile(intensity, 2)).all()
     assert view.t_gps_s is None
     assert decoded(tmp_path / "v", "")[1]["extras"] == ["cloud"]
@@ -227,14 +228,14 @@ def test_the_page_of_a_survey_shows_clouds_of_other_chains_when_asked(browser, t
     )  # fmt: skip
     with browser.empty_page() as page:
 
-        def red() -> float:
+        def red():
             """Share of the view that is red."""
             page.wait("typeof settled !== 'undefined' && settled")
             page.screenshot(tmp_path / "a.png")
             picture = np.asarray(Image.open(tmp_path / "a.png").convert("RGB")).astype(int)[60:560, 270:790]
             return float((picture[..., 0] > picture[..., 2] + 40).mean())
 
-        def clicked() -> str:
+        def clicked():
             page.click(500, 300)
             found = page.run("document.getElementById('found').textContent")
             page.call("Input.dispatchKeyEvent", type="keyDown", key="Escape")
@@ -411,7 +412,7 @@ def walk(tmp_path_factory):
     (tmp_path / "raw").mkdir()
     (tmp_path / "camera").mkdir()
     Image.fromarray(picture[:10, :10]).save(tmp_path / "camera/P 0.JPG")
-    rows: dict[str, list] = {name: [] for name in PANORAMAS.names}
+    rows = {name: [] for name in PANORAMAS.names}
     for k in range(3):
         Image.fromarray(picture).save(tmp_path / f"pictures/R {k}.jpg", quality=95)
         Image.fromarray(picture[:100, :200]).save(tmp_path / f"raw/R {k}.JPG")
@@ -457,7 +458,7 @@ def walk(tmp_path_factory):
 def test_a_walk_from_panorama_to_panorama(walk, browser, tmp_path):
     with browser.empty_page() as page:
 
-        def shown(at: tuple[int, int]) -> str:
+        def shown(at):
             """The side of the world whose colour a pixel has."""
             page.screenshot(tmp_path / "a.png")
             value = np.asarray(Image.open(tmp_path / "a.png").convert("RGB"))[at[1], at[0]].astype(int)
@@ -465,7 +466,7 @@ def test_a_walk_from_panorama_to_panorama(walk, browser, tmp_path):
             assert min(away.values()) < 20, value
             return min(away, key=lambda side: away[side])
 
-        def key(text: str) -> None:
+        def key(text):
             page.call("Input.dispatchKeyEvent", type="keyDown", key=text, text=text)
             page.wait("settled")
 
@@ -666,7 +667,7 @@ def test_what_is_clipped_is_not_drawn_and_not_found(browser, tmp_path):
     low, high = xyz[:, 2].min(), xyz[:, 2].max()
     with browser.empty_page() as page:
 
-        def drawn() -> np.ndarray:
+        def drawn():
             page.wait("typeof settled !== 'undefined' && settled")
             page.screenshot(tmp_path / "a.png")
             picture = np.asarray(Image.open(tmp_path / "a.png").convert("RGB")).astype(int)[60:560, 270:790]

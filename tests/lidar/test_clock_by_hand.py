@@ -5,17 +5,19 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
-from thalweg.core import LocalFrame, Rigid, Trajectory
+from tests.core.conftest import trajectory_of
+from thalweg.core import Rigid
 from thalweg.lidar import clock
-from thalweg.lidar.clock import PAIR_S, STEP_S, LidarOffset, Turns, _covariance, fine_offset, rough_offset
+from thalweg.lidar.clock import PAIR_S, STEP_S, Turns, _covariance, fine_offset, rough_offset
 from thalweg.settings.sections import Filters
 
 TRUE_S = 0.02
 
 
-def adjusted(monkeypatch: pytest.MonkeyPatch, *, copies: int, by_attitude_s: float) -> LidarOffset:
+def adjusted(monkeypatch, *, copies, by_attitude_s):
     """200 moments of ten points on planes; each point as often as asked for."""
     rng = np.random.default_rng(5)
     t = np.repeat(np.arange(200) * STEP_S + 0.05, 10)
@@ -89,21 +91,14 @@ def test_pairs_of_sweeps_that_overlap_are_no_new_observations(monkeypatch):
     assert facts["better_than_the_next_by_sigmas"] == pytest.approx(np.sqrt(0.21 * n * STEP_S / PAIR_S))
 
 
-def turning(rates: tuple[float, float, float], valid: list[bool]) -> Trajectory:
+def turning(rates, valid):
     """Nodes each 0.1 s of a boat that turns by so many radians a second about its own axes."""
     t = 0.1 * np.arange(len(valid))
     steps = Rotation.from_rotvec(np.tile(0.1 * np.array(rates), (len(t) - 1, 1)))
     R = [Rotation.identity()]
     for step in steps:
         R.append(R[-1] * step)
-    return Trajectory(
-        frame=LocalFrame(lat_deg=51.0, lon_deg=13.0, h_ell_m=200.0),
-        t_gps_s=t,
-        position_wcs_m=np.zeros((len(t), 3)),
-        quaternion_wcs_ics=np.array([r.as_quat() for r in R]),
-        cov_pose_wcs=np.tile(np.eye(6), (len(t), 1, 1)),
-        valid=np.array(valid),
-    )
+    return trajectory_of(t, attitude=Rotation.concatenate(R), valid=valid)
 
 
 def test_turns_of_the_body_are_summed_and_gaps_counted():
@@ -158,7 +153,7 @@ def test_rows_are_what_a_wrong_time_and_mount_do_to_distances_from_planes():
     points = scanned(spots, trajectory, mount)
     filters = Filters(below_water_m=None)
 
-    def distances(late_s: float, mount: Rigid) -> tuple[np.ndarray, np.ndarray]:
+    def distances(late_s, mount):
         d, J, _, n = clock._rows(points, trajectory, mount, filters, np.full(len(points), late_s))
         assert n == len(spots)
         assert len(d) == len(points)
@@ -167,34 +162,27 @@ def test_rows_are_what_a_wrong_time_and_mount_do_to_distances_from_planes():
     base, J = distances(0.0, mount)
     assert np.abs(base).max() < 1e-6
     late, _ = distances(0.002, mount)
-    np.testing.assert_allclose(late, 0.002 * J[:, 0], atol=0.05 * np.abs(late).max())
+    assert_allclose(late, 0.002 * J[:, 0], atol=0.05 * np.abs(late).max())
     for k, axis in enumerate(np.eye(3)):
         turned = replace(mount, R=Rotation.from_rotvec(1e-3 * axis).as_matrix() @ mount.R)
         moved = replace(mount, shift_m=mount.shift_m + 1e-3 * axis)
         for column, other in ((1 + k, turned), (4 + k, moved)):
             d, _ = distances(0.0, other)
-            np.testing.assert_allclose(d, 1e-3 * J[:, column], atol=0.05 * np.abs(1e-3 * J[:, column]).max())
+            assert_allclose(d, 1e-3 * J[:, column], atol=0.05 * np.abs(1e-3 * J[:, column]).max())
 
 
-def spots_seen_again() -> tuple[Trajectory, list[tuple[np.ndarray, np.ndarray]]]:
+def spots_seen_again():
     """Ten seconds of a boat that drives east and swings; centres and normals of spots within cells."""
     t = np.arange(0.0, 10.05, 0.05)
-    q = Rotation.from_euler("zx", np.stack([0.5 * np.sin(t), 0.1 * np.sin(2 * t)], axis=1)).as_quat()
-    trajectory = Trajectory(
-        frame=LocalFrame(lat_deg=51.0, lon_deg=13.0, h_ell_m=200.0),
-        t_gps_s=t,
-        position_wcs_m=np.stack([0.8 * t, 0.3 * np.sin(t), 0 * t], axis=1),
-        quaternion_wcs_ics=q,
-        cov_pose_wcs=np.tile(np.eye(6), (len(t), 1, 1)),
-        valid=np.ones(len(t), bool),
-    )
+    swinging = Rotation.from_euler("zx", np.stack([0.5 * np.sin(t), 0.1 * np.sin(2 * t)], axis=1))
+    trajectory = trajectory_of(t, np.stack([0.8 * t, 0.3 * np.sin(t), 0 * t], axis=1), swinging)
     rng = np.random.default_rng(4)
     normals = rng.normal(size=(12, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     return trajectory, [(np.array([k + 0.25, 8.25, 1.25 + k % 3]), n) for k, n in enumerate(normals)]
 
 
-def scanned(spots: list[tuple[np.ndarray, np.ndarray]], trajectory: Trajectory, mount: Rigid) -> np.ndarray:
+def scanned(spots, trajectory, mount):
     """Points (n, 4) in the scanner's frame and their times, 40 of each spot."""
     rng = np.random.default_rng(6)
     centre, normal = (np.repeat([spot[k] for spot in spots], 40, axis=0) for k in (0, 1))

@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass, replace
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -11,7 +10,7 @@ from scipy.ndimage import maximum_filter, minimum_filter
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from thalweg.core import AnyArray, Camera, Rigid
+from thalweg.core import Camera, Rigid
 from thalweg.core.las import read_laz
 from thalweg.ingest.clouds import read_cloud
 from thalweg.lidar import Photographs, colour_check, colour_cloud
@@ -30,9 +29,7 @@ from thalweg_lab.studies.sensors.colours import (
 TURNS = ("turn_x_deg", "turn_y_deg", "turn_z_deg")
 
 
-def passed(
-    folder: Path, rng: np.random.Generator, *, late_s: float = 0.0, turn_deg: float = 0.0
-) -> pd.DataFrame:
+def passed(folder, rng, *, late_s=0.0, turn_deg=0.0):
     """The check of a passage along a wall, its photographs later, and turned about y, by so much."""
     known, curves = check_passage(folder, rng, late_s=late_s, turn_deg=turn_deg)
     best = curves.loc[curves.groupby("quantity")["dependence"].idxmax()].set_index("quantity")
@@ -130,7 +127,7 @@ def test_the_check_has_the_power_that_it_states(rng, monkeypatch):
     monkeypatch.setattr("thalweg.lidar.colour_check._DRAWS", 20)  # all parts of a scene are alike
     by = SHIFTS["turn_y_deg"]
 
-    def called(error_deg: float, scene_deg: float) -> tuple[bool, float]:
+    def called(error_deg, scene_deg):
         """Whether one scene is called, and ``detects``: the same correlation in all its parts."""
         r = 0.1 * np.exp(-0.5 * ((by - error_deg - scene_deg) / 0.5) ** 2)
         n = np.full((3, len(by), 1, 8), 1000.0)
@@ -182,12 +179,12 @@ BOARDS = range(1, 38, 4)
 
 
 @cache
-def grey(picture: Path) -> AnyArray:
+def grey(picture):
     return grey_of(picture, FISHEYE)
 
 
 @cache
-def flat(picture: Path) -> AnyArray:
+def flat(picture):
     return maximum_filter(grey(picture), 21) - minimum_filter(grey(picture), 21) < 40
 
 
@@ -199,14 +196,14 @@ def acfr(data_dir):
     return folder
 
 
-def published(folder: Path) -> Rigid:
+def published(folder):
     """Mean of the 50 published solutions: the camera in the frame of the lidar."""
     table = np.loadtxt(folder / "calibration_quickstart.csv", delimiter=",", skiprows=1)
     roll, pitch, yaw, *shift = table.mean(axis=0)
     return Rigid(R=Rotation.from_euler("ZYX", [yaw, pitch, roll]).as_matrix(), shift_m=np.array(shift))
 
 
-def auc(folder: Path, work: Path, board: int, T: Rigid) -> float:
+def auc(folder, work, board, T):
     """Share of pairs, one point on white and one on black, whose white one has more intensity.
 
     Points on the flat of a square, where the picture differs by 40 at most within 21 pixels.

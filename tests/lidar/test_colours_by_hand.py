@@ -36,7 +36,7 @@ def test_a_later_picture_is_where_the_camera_was_later():
         assert place == pytest.approx(centre[1])
 
 
-def pairs(peak: float) -> np.ndarray:
+def pairs(peak):
     """Three photographs of eight parts, whose correlation is best at a shift, everywhere alike."""
     by = SHIFTS[KIND]
     r = 0.6 * np.exp(-(((by - peak) / 0.8) ** 2))

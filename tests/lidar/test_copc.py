@@ -3,6 +3,7 @@
 import laspy
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from pyproj import CRS
 
 from thalweg.core import CoverageError, InputError, LazWriter, LocalFrame
@@ -34,18 +35,18 @@ def test_copc_holds_each_record_and_is_found_by_place_and_level(tmp_path):
     assert (header.frame, header.extra_dimensions) == (other.frame, other.extra_dimensions)
     order = np.argsort(b["t_gps_s"])
     for name, values in a.items():
-        np.testing.assert_array_equal(b[name][order], values, err_msg=name)
+        assert_array_equal(b[name][order], values, err_msg=name)
     with laspy.CopcReader.open(tmp_path / "a.copc.laz") as reader:
         info = reader.copc_info
         assert (info.gps_min, info.gps_max) == (a["t_gps_s"][0], a["t_gps_s"][-1])
         assert len(reader.query()) == n
         # its cube is the header's, by which others check places of nodes
-        np.testing.assert_allclose(info.center - info.halfsize, reader.header.mins, atol=1e-9)
+        assert_allclose(info.center - info.halfsize, reader.header.mins, atol=1e-9)
         assert 2 * info.halfsize == pytest.approx(np.ptp(xyz, axis=0).max(), abs=1e-9)
         low, high = np.array([-31.0, 12.0, -9.0]), np.array([5.0, 44.0, 9.0])
         found = reader.query(bounds=laspy.copc.Bounds(low, high))
         inside = ((xyz >= low) & (xyz <= high)).all(axis=1)
-        np.testing.assert_array_equal(np.sort(found.gps_time), a["t_gps_s"][inside])
+        assert_array_equal(np.sort(found.gps_time), a["t_gps_s"][inside])
         coarse = reader.query(resolution=info.spacing)
         # the root: its cells are so wide, and a point lies in each that the surface meets
         cells = {

@@ -1,10 +1,10 @@
 """Filters of the cloud: on a small river whose every point's fate is known, and rule by rule."""
 
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from pydantic import ValidationError
 
 from thalweg.core import GeometryError
@@ -18,14 +18,14 @@ RANGES = {"min_range_m": 0.5, "max_range_m": 100.0}
 SCANNER_ICS_M = np.array([-0.35, 0.0, -0.25])
 
 
-def bank(rng: np.random.Generator, n: int) -> np.ndarray:
+def bank(rng, n):
     """Points of a bank that rises 1:2 from the water at 10 m north to a plain 5 m above it, 20 m long."""
     east, north = rng.uniform(0, 20, n), rng.uniform(10, 30, n)
     up = LEVEL_M + np.minimum((north - 10) / 2, 5.0)
     return np.column_stack([east, north, up]) + rng.normal(scale=0.02, size=(n, 3))
 
 
-def mirrored(rng: np.random.Generator, scanner: np.ndarray, target: np.ndarray, slope_deg: float):
+def mirrored(rng, scanner, target, slope_deg):
     """Where targets appear that were seen in the water: mirrored in its surface where the beam met it."""
     straight = target * [1, 1, -1] + [0, 0, 2 * LEVEL_M]
     share = (scanner[:, 2] - LEVEL_M) / (scanner[:, 2] - straight[:, 2])
@@ -37,11 +37,11 @@ def mirrored(rng: np.random.Generator, scanner: np.ndarray, target: np.ndarray, 
     return target - 2 * np.sum((target - water) * normal, axis=1)[:, None] * normal
 
 
-def scene(rng: np.random.Generator, n_bank: int = 60_000, slope_deg: float = 0.5) -> dict[str, Any]:
+def scene(rng, n_bank=60_000, slope_deg=0.5):
     """A boat that goes east past the bank: what `classify` takes, and the truth of each point."""
     truth, wcs, body, boat = [], [], [], []
 
-    def put(reason: Reason, n: int, *, at: Any = None, at_ics: Any = None) -> None:
+    def put(reason, n, *, at=None, at_ics=None):
         origin = np.column_stack([rng.uniform(0, 20, n), np.zeros(n), np.full(n, LEVEL_M + 0.2)])
         # heading east: forward is east, right is south
         scanner = origin + SCANNER_ICS_M * [1, -1, -1]
@@ -83,7 +83,7 @@ def scene(rng: np.random.Generator, n_bank: int = 60_000, slope_deg: float = 0.5
     }
 
 
-def two_passes(data: dict[str, Any], settings: Filters, pieces: int = 1) -> np.ndarray:
+def two_passes(data, settings, pieces=1):
     """Reasons of a whole cloud, streamed in pieces."""
     arrays = {name: values for name, values in data.items() if name != "truth"}
     blocks = [
@@ -98,7 +98,7 @@ def two_passes(data: dict[str, Any], settings: Filters, pieces: int = 1) -> np.n
     return np.concatenate([classify(**b, settings=settings, occupancy=grid, **RANGES) for b in blocks])
 
 
-def score(found: np.ndarray, truth: np.ndarray, reason: Reason) -> tuple[float, float]:
+def score(found, truth, reason):
     """Precision and recall."""
     hit = np.sum((found == reason) & (truth == reason))
     return hit / np.sum(found == reason), hit / np.sum(truth == reason)
@@ -110,26 +110,16 @@ def test_every_point_of_the_river_meets_its_fate(rng):
     found, truth = two_passes(data, settings), data["truth"]
     assert set(found) == set(Reason)  # every filter had something to do
     # What a point tells by itself is found without error. The corner of the hull's box is 4 cm outside the
-    # boat, and the bank is 10 m away.
-    for reason in (
-        Reason.NO_GPS_TIME,
-        Reason.NO_POSE,
-        Reason.TOO_NEAR,
-        Reason.TOO_FAR,
-        Reason.OWN_HULL,
-        Reason.UNCERTAIN,
-    ):
+    # boat, and the bank is 10 m away. 150 points in 27,000 m^3: expected to lie within the reach of three
+    # others, 1e-6 of them.
+    wet = [Reason.MIRROR_GHOST, Reason.BELOW_WATER]
+    for reason in set(Reason) - {Reason.KEPT, *wet}:
         assert score(found, truth, reason) == (1.0, 1.0), reason
     # all that lies below the water is gone under one of both names
-    wet = (truth == Reason.MIRROR_GHOST) | (truth == Reason.BELOW_WATER)
-    assert np.isin(found[wet], [Reason.MIRROR_GHOST, Reason.BELOW_WATER]).all()
+    assert np.isin(found[np.isin(truth, wet)], wet).all()
     # 300 points below free water, 2 m from the bank's image and more: none is called a ghost
     assert score(found, truth, Reason.MIRROR_GHOST)[0] == 1.0
     assert score(found, truth, Reason.BELOW_WATER)[1] == 1.0
-    # 150 points in 27,000 m^3: expected to lie within the reach of three others, 1e-6 of them
-    precision, recall = score(found, truth, Reason.ISOLATED)
-    assert precision == 1.0
-    assert recall == 1.0
 
 
 @pytest.mark.parametrize(("slope_deg", "least"), [(0.0, 1.0), (0.5, 0.98), (1.0, 0.87), (2.0, 0.60)])
@@ -141,7 +131,7 @@ def test_waves_blur_the_names_of_ghosts(rng, slope_deg, least):
     assert recall >= least
 
 
-def vlp16_on_a_hillside(rng: np.random.Generator, speed_mps: float, seconds: float) -> np.ndarray:
+def vlp16_on_a_hillside(rng, speed_mps, seconds):
     """Points of a VLP-16, 10 Hz, spin axis along the way, on a 1:2 slope from 40 to 90 m beside the boat."""
     azimuth = np.deg2rad(np.arange(0.0, 40.0, 0.2))
     laser = np.deg2rad(np.arange(-15, 16, 2))[:, None]
@@ -172,7 +162,7 @@ def test_little_is_lost_at_the_spacing_of_the_scanner(rng, speed_mps):
 
 def test_pieces_of_the_log_do_not_matter(rng):
     data = scene(rng, n_bank=5000)
-    np.testing.assert_array_equal(two_passes(data, SETTINGS, 1), two_passes(data, SETTINGS, 23))
+    assert_array_equal(two_passes(data, SETTINGS, 1), two_passes(data, SETTINGS, 23))
 
 
 @pytest.mark.parametrize("least", [1, 2, 3, 5])
@@ -180,15 +170,12 @@ def test_a_group_stays_if_each_has_so_many_others(least):
     """Groups of 1 to 7 points, 10 m apart from each other."""
     size = np.arange(1, 8)
     group = np.repeat(size, size)
-    data = some(len(group))
-    data["points_wcs_m"] = np.column_stack(
-        [10.0 * group, np.full(len(group), 20.0), np.full(len(group), 110.0)]
-    )
+    data = some(len(group), points_wcs_m=np.add(np.outer(group, [10.0, 0.0, 0.0]), [0.0, 20.0, 110.0]))
     found = two_passes(data, SETTINGS.replace(isolated_neighbours=least))
-    np.testing.assert_array_equal(found, np.where(group - 1 < least, Reason.ISOLATED, Reason.KEPT))
+    assert_array_equal(found, np.where(group - 1 < least, Reason.ISOLATED, Reason.KEPT))
 
 
-def some(n: int, **changes: Any) -> dict[str, Any]:
+def some(n, **changes):
     """Points that no filter touches in the first pass, with changes."""
     return {
         "timed": np.ones(n, bool),
@@ -215,15 +202,8 @@ def test_the_first_reason_counts():
         sigma_max_m=np.array([9.0] * 5 + [np.nan, 0.1]),
     )
     found = classify(**bad, settings=settings, **RANGES)
-    assert [Reason(r) for r in found] == [
-        Reason.NO_GPS_TIME,
-        Reason.NO_POSE,
-        Reason.TOO_NEAR,
-        Reason.TOO_FAR,
-        Reason.OWN_HULL,
-        Reason.UNCERTAIN,
-        Reason.BELOW_WATER,
-    ]
+    names = ["NO_GPS_TIME", "NO_POSE", "TOO_NEAR", "TOO_FAR", "OWN_HULL", "UNCERTAIN", "BELOW_WATER"]
+    assert [Reason(r).name for r in found] == names
     assert [r.value for r in Reason] == list(range(10))
 
 
@@ -242,10 +222,13 @@ def test_filters_can_be_switched_off():
     hull_off = SETTINGS.replace(hull_low_ics_m=None, hull_high_ics_m=None)
     water_off = hull_off.replace(below_water_m=None)
     all_off = water_off.replace(isolated_neighbours=0)
-    assert two_passes(data, SETTINGS).tolist() == [Reason.OWN_HULL] * 2
-    assert two_passes(data, hull_off).tolist() == [Reason.BELOW_WATER] * 2
-    assert two_passes(data, water_off).tolist() == [Reason.ISOLATED] * 2
-    assert two_passes(data, all_off).tolist() == [Reason.KEPT] * 2
+    for settings, reason in (
+        (SETTINGS, Reason.OWN_HULL),
+        (hull_off, Reason.BELOW_WATER),
+        (water_off, Reason.ISOLATED),
+        (all_off, Reason.KEPT),
+    ):
+        assert two_passes(data, settings).tolist() == [reason] * 2
     assert [s.needs_occupancy for s in (SETTINGS, water_off, all_off)] == [True, True, False]
     assert not SETTINGS.replace(mirror_ghosts=False, isolated_neighbours=0).needs_occupancy
 
@@ -254,9 +237,7 @@ def test_ghosts_are_told_apart_only_on_demand(rng):
     data = scene(rng, n_bank=5000)
     with_names = two_passes(data, SETTINGS)
     without = two_passes(data, SETTINGS.replace(mirror_ghosts=False))
-    np.testing.assert_array_equal(
-        without, np.where(with_names == Reason.MIRROR_GHOST, Reason.BELOW_WATER, with_names)
-    )
+    assert_array_equal(without, np.where(with_names == Reason.MIRROR_GHOST, Reason.BELOW_WATER, with_names))
     # ghosts need the cloud, not the filter of isolated points
     lonely = two_passes(data, SETTINGS.replace(isolated_neighbours=0))
     assert np.sum(lonely == Reason.MIRROR_GHOST) >= np.sum(with_names == Reason.MIRROR_GHOST) > 1000
@@ -277,11 +258,11 @@ def test_an_image_is_mirrored_at_the_water_of_its_own_shot():
 
 
 def test_water_level_follows_the_boat():
-    trajectory: Any = SimpleNamespace(
+    trajectory = SimpleNamespace(
         t_gps_s=np.array([10.0, 20.0]), position_wcs_m=np.array([[0.0, 0, 5.0], [0, 0, 6.0]])
     )
     found = water_level_m([10.0, 15.0, 20.0], trajectory, 0.2)
-    np.testing.assert_allclose(found, [4.8, 5.3, 5.8], atol=1e-12)  # float64 of numbers near 5
+    assert_allclose(found, [4.8, 5.3, 5.8], atol=1e-12)  # float64 of numbers near 5
 
 
 def test_misfit_is_named():
@@ -338,36 +319,15 @@ def test_wrong_settings_are_refused(changes, answer):
 @pytest.mark.parametrize(("range_m", "fate"), [(30.0, Reason.ISOLATED), (60.0, Reason.KEPT)])
 def test_far_points_may_lie_wider_apart(range_m, fate):
     """Four points 0.9 m apart: lonely near the boat, an ordinary surface where beams have spread."""
-    points = np.array([[50.0, 0.0, 105.0], [50.9, 0.0, 105.0], [50.0, 0.9, 105.0], [50.9, 0.9, 105.0]])
-    n, grid = len(points), Occupancy(0.45)
-    grid.add(points)
-    grid.freeze()
-    reasons = classify(
-        timed=np.ones(n, bool),
-        has_pose=np.ones(n, bool),
-        range_m=np.full(n, range_m),
-        x_ics_m=np.full((n, 3), 30.0),
-        points_wcs_m=points,
-        water_level_m=np.full(n, LEVEL_M),
-        settings=SETTINGS.replace(isolated_radius_m=0.45, isolated_neighbours=2),
-        occupancy=grid,
-        **RANGES,
-    )
-    assert set(reasons) == {fate}
+    corners = np.array([[0.0, 0.0, 0.0], [0.9, 0.0, 0.0], [0.0, 0.9, 0.0], [0.9, 0.9, 0.0]])
+    data = some(4, points_wcs_m=np.add(corners, [50.0, 0.0, 105.0]), range_m=np.full(4, range_m))
+    settings = SETTINGS.replace(isolated_radius_m=0.45, isolated_neighbours=2)
+    assert set(two_passes(data, settings)) == {fate}
 
 
 @pytest.mark.parametrize(("sigma_up_m", "fate"), [(0.01, Reason.BELOW_WATER), (0.10, Reason.KEPT)])
 def test_the_margin_below_the_water_grows_with_sigma(sigma_up_m, fate):
     """12 cm below the water is a clear finding with 1 cm of sigma, and none with 10 cm."""
-    reasons = classify(
-        timed=np.ones(1, bool),
-        has_pose=np.ones(1, bool),
-        range_m=np.full(1, 20.0),
-        x_ics_m=np.full((1, 3), 30.0),
-        points_wcs_m=np.array([[0.0, 20.0, LEVEL_M - 0.12]]),
-        water_level_m=np.full(1, LEVEL_M),
-        settings=SETTINGS.replace(below_water_m=0.05, below_water_sigmas=2.0),
-        sigma_up_m=np.full(1, sigma_up_m),
-        **RANGES,
-    )
-    assert reasons.tolist() == [fate]
+    data = some(1, points_wcs_m=np.array([[0.0, 20.0, LEVEL_M - 0.12]]), sigma_up_m=np.full(1, sigma_up_m))
+    settings = SETTINGS.replace(below_water_m=0.05, below_water_sigmas=2.0)
+    assert classify(**data, settings=settings, **RANGES).tolist() == [fate]

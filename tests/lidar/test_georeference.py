@@ -4,49 +4,34 @@ import struct
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation, Slerp
 
-from thalweg.core import (
-    GeometryError,
-    LocalFrame,
-    Rigid,
-    Trajectory,
-    rotation_ecef_enu,
-    rotation_enu_body,
-    rotation_opk,
-)
+from tests.core.conftest import trajectory_of
+from thalweg.core import GeometryError, LocalFrame, Rigid, rotation_ecef_enu, rotation_enu_body, rotation_opk
 from thalweg.lidar import georeference_points
 
-FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
 
-
-def make_trajectory(n: int = 200, rate_hz: float = 50.0, invalid: slice | None = None) -> Trajectory:
-    t = 4.0e8 + np.arange(n) / rate_hz
-    s = t - t[0]
-    heading = 1.0 + 0.12 * s + 0.05 * np.sin(1.3 * s)
-    R = rotation_enu_body(0.05 * np.sin(1.9 * s), 0.03 * np.sin(1.4 * s), heading)
-    valid = np.ones(n, dtype=bool)
-    if invalid is not None:
-        valid[invalid] = False
-    return Trajectory(
-        frame=FRAME,
-        t_gps_s=t,
-        position_wcs_m=np.column_stack([0.4 * s, np.sin(0.2 * s), 0.02 * np.sin(2 * s)]),
-        quaternion_wcs_ics=Rotation.from_matrix(R).as_quat(),
-        cov_pose_wcs=np.tile(np.diag([4e-4, 4e-4, 9e-4, 4e-6, 4e-6, 4e-6]), (n, 1, 1)),
-        valid=valid,
+def make_trajectory(n=200, rate_hz=50.0, invalid=None):
+    s = np.arange(n) / rate_hz
+    R = rotation_enu_body(
+        0.05 * np.sin(1.9 * s), 0.03 * np.sin(1.4 * s), 1.0 + 0.12 * s + 0.05 * np.sin(1.3 * s)
     )
+    position = np.column_stack([0.4 * s, np.sin(0.2 * s), 0.02 * np.sin(2 * s)])
+    valid = np.ones(n, bool)
+    valid[invalid or slice(0)] = False
+    return trajectory_of(4.0e8 + s, position, Rotation.from_matrix(R), valid=valid)
 
 
 MOUNT = Rigid(R=rotation_opk(0.01, -np.pi / 2 + 0.02, 0.03), shift_m=np.array([-0.4, 0.1, -0.5]))
 
 
-def world(*arguments) -> tuple[np.ndarray, np.ndarray]:
+def world(*arguments):
     found = georeference_points(*arguments)
     return found.points_wcs_m, found.has_pose
 
 
-def random_points(rng: np.random.Generator, trajectory: Trajectory, n: int = 5000):
+def random_points(rng, trajectory, n=5000):
     xyz = rng.normal(scale=20.0, size=(n, 3)).astype(np.float32)
     t = np.sort(rng.uniform(trajectory.t_gps_s[0], trajectory.t_gps_s[-1], n))
     return xyz, t
@@ -60,7 +45,7 @@ def test_kernel_agrees_with_scipy(rng):
     peer = slerp(t).apply(xyz @ MOUNT.R.T + MOUNT.shift_m)
     for axis in range(3):
         peer[:, axis] += np.interp(t, trajectory.t_gps_s, trajectory.position_wcs_m[:, axis])
-    np.testing.assert_allclose(points, peer, atol=1e-7)
+    assert_allclose(points, peer, atol=1e-7)
 
 
 def test_order_of_points_does_not_matter(rng):
@@ -69,7 +54,7 @@ def test_order_of_points_does_not_matter(rng):
     points, _ = world(xyz, t, trajectory, MOUNT)
     order = rng.permutation(len(t))
     shuffled, _ = world(xyz[order], t[order], trajectory, MOUNT)
-    np.testing.assert_array_equal(shuffled, points[order])
+    assert_array_equal(shuffled, points[order])
 
 
 def test_no_pose_outside_in_gaps_and_without_time():
@@ -87,27 +72,10 @@ def test_no_pose_outside_in_gaps_and_without_time():
 def test_sign_of_the_nominal_mount():
     """With phi = -90 deg the spin axis (scs z) points backwards, so azimuth sweeps the cross-section."""
     mount = Rigid(R=rotation_opk(0.0, -np.pi / 2, 0.0), shift_m=np.zeros(3))
-    n = 2
-    north = Trajectory(
-        frame=FRAME,
-        t_gps_s=np.arange(n) + 0.0,
-        position_wcs_m=np.zeros((n, 3)),
-        quaternion_wcs_ics=Rotation.from_matrix(
-            rotation_enu_body(np.zeros(n), np.zeros(n), np.zeros(n))
-        ).as_quat(),
-        cov_pose_wcs=np.zeros((n, 6, 6)),
-        valid=np.ones(n, dtype=bool),
-    )
+    north = trajectory_of([0.0, 1.0], attitude=Rotation.from_matrix(rotation_enu_body(0.0, 0.0, 0.0)))
     axes, _ = world(np.eye(3), np.full(3, 0.5), north, mount)
-    # heading north: ics x = north, y = east, z = down
-    np.testing.assert_allclose(axes[2], [0, -1, 0], atol=1e-12)  # scs z -> backwards -> south
-    np.testing.assert_allclose(axes[1], [1, 0, 0], atol=1e-12)  # scs y -> right -> east
-    np.testing.assert_allclose(axes[0], [0, 0, -1], atol=1e-12)  # scs x -> down
-
-
-def test_a_matrix_that_is_no_rotation_is_refused():
-    with pytest.raises(GeometryError, match="no rotation matrix"):
-        Rigid(R=np.diag([1.0, 1.0, -1.0]), shift_m=np.zeros(3))
+    # heading north, ics x = north, y = east, z = down: scs x points down, y right to the east, z south
+    assert_allclose(axes, [[0, 0, -1], [1, 0, 0], [0, -1, 0]], atol=1e-12)
 
 
 def test_shapes_are_named_in_the_message():
@@ -124,21 +92,8 @@ def test_real_airborne_shots_reach_the_published_point(data_dir):
     assert (week, n) == (1660, 1000)
     misalignment = np.array(struct.unpack_from("<3d", raw, head.size + 1024))
     imu_misalignment = np.array(struct.unpack_from("<3d", raw, head.size + 1024 + 24))
-    record = np.dtype(
-        [
-            ("t", "<f8"),
-            ("n", "u1"),
-            ("r", "<f4", 4),
-            ("i", "<u2", 4),
-            ("scan", "<f4"),
-            ("roll", "<f4"),
-            ("pitch", "<f4"),
-            ("head", "<f4"),
-            ("lat", "<f8"),
-            ("lon", "<f8"),
-            ("h", "<f4"),
-        ]
-    )
+    record = np.dtype("<f8, u1, (4,)<f4, (4,)<u2, <f4, <f4, <f4, <f4, <f8, <f8, <f4")
+    record.names = ("t", "n", "r", "i", "scan", "roll", "pitch", "head", "lat", "lon", "h")
     shots = np.frombuffer(raw[header_bytes:], record)[:n]
     lon = np.where(shots["lon"] < -2 * np.pi, shots["lon"] + 2 * np.pi, shots["lon"])
     lat_deg, lon_deg = np.rad2deg(shots["lat"]), np.rad2deg(lon)
@@ -150,17 +105,12 @@ def test_real_airborne_shots_reach_the_published_point(data_dir):
     # each attitude refers to the local vertical of its own position, not to the origin of the frame
     R_ecef_enu = np.stack([rotation_ecef_enu(a, b) for a, b in zip(lat_deg, lon_deg, strict=True)])
     R_wcs_ics = frame.R_ecef_enu.T @ R_ecef_enu @ R_local
-    trajectory = Trajectory(
-        frame=frame,
-        t_gps_s=shots["t"].astype(float),
-        position_wcs_m=frame.from_geodetic(lat_deg, lon_deg, shots["h"]),
-        quaternion_wcs_ics=Rotation.from_matrix(R_wcs_ics).as_quat(),
-        cov_pose_wcs=np.zeros((n, 6, 6)),
-        valid=np.ones(n, dtype=bool),
-    )
+    position = frame.from_geodetic(lat_deg, lon_deg, shots["h"])
+    trajectory = trajectory_of(shots["t"], position, Rotation.from_matrix(R_wcs_ics), frame=frame)
     d_roll, d_pitch, d_heading = misalignment + imu_misalignment
-    boresight = R_ics_optech @ optech_rotation(d_roll, d_pitch, d_heading)
-    mount = Rigid(R=boresight, shift_m=np.zeros(3))
+    # Optech's convention in its own axes (x right, y forward, z up): R_z(-h) R_x(p) R_y(r)
+    boresight = Rotation.from_euler("ZXY", [-d_heading, d_pitch, d_roll]).as_matrix()
+    mount = Rigid(R=R_ics_optech @ boresight, shift_m=np.zeros(3))
     r, s = shots["r"][:, 0].astype(float), shots["scan"].astype(float)
     xyz = np.column_stack([r * np.sin(s), np.zeros(n), -r * np.cos(s)])
     points, has_pose = world(xyz, shots["t"], trajectory, mount)
@@ -178,11 +128,6 @@ def test_real_airborne_shots_reach_the_published_point(data_dir):
     assert np.linalg.norm(pdal - points[0]) == pytest.approx(0.0143, abs=3e-4)
 
 
-def optech_rotation(roll: float, pitch: float, heading: float) -> np.ndarray:
-    """Optech's convention in its own axes (x right, y forward, z up): R_z(-h) R_x(p) R_y(r)."""
-    return Rotation.from_euler("ZXY", [-heading, pitch, roll]).as_matrix()
-
-
 def test_points_at_the_first_and_the_last_node_have_its_pose():
     """Each alone, so that the search for the interval begins at it; a hair beyond there is no pose."""
     trajectory = make_trajectory(5)
@@ -192,6 +137,6 @@ def test_points_at_the_first_and_the_last_node_have_its_pose():
         R = Rotation.from_quat(trajectory.quaternion_wcs_ics[node]).as_matrix()
         expected = R @ (MOUNT.R @ xyz[0] + MOUNT.shift_m) + trajectory.position_wcs_m[node]
         assert has_pose.tolist() == [True]
-        np.testing.assert_allclose(points[0], expected, atol=1e-9)
+        assert_allclose(points[0], expected, atol=1e-9)
     beyond = trajectory.t_gps_s[[0, 4]] + [-1e-6, 1e-6]
     assert not world(np.tile(xyz, (2, 1)), beyond, trajectory, MOUNT)[1].any()

@@ -5,8 +5,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
+from tests.core.conftest import trajectory_of
 from thalweg.core import ClockError, CoverageError, LocalFrame, Rigid, Trajectory, rotation_opk
 from thalweg.ingest import LidarOptions
 from thalweg.ingest.anpp import read_anpp
@@ -70,7 +72,7 @@ def voyage(tmp_path_factory):
     return Recorded(log, trajectory)
 
 
-def true_offset_s(device_s: float) -> float:
+def true_offset_s(device_s):
     """GPS minus device time: the twin's free clock starts at 140.55 s and runs 20 ppm fast."""
     return start_gps_s(CONFIG) + (device_s - 140.55) / 1.00002 - device_s
 
@@ -122,12 +124,8 @@ def test_a_trajectory_that_is_late_is_seen(voyage, by_motion, same_turns):
 
 
 def test_a_boat_that_does_not_turn_tells_no_time(voyage, same_turns):
-    still = replace(
-        voyage.trajectory,
-        quaternion_wcs_ics=np.tile(
-            voyage.trajectory.quaternion_wcs_ics[0], (len(voyage.trajectory.t_gps_s), 1)
-        ),
-    )
+    q = voyage.trajectory.quaternion_wcs_ics
+    still = replace(voyage.trajectory, quaternion_wcs_ics=np.tile(q[0], (len(q), 1)))
     with pytest.raises(ClockError, match="fits the trajectory at one time nearly as well as at another"):
         clock_from_motion(voyage.reader, voyage.reader.scan().clock, still, MOUNT, Filters())
 
@@ -138,15 +136,8 @@ def test_the_part_of_the_attitudes_is_that_of_a_swinging_error():
     amplitude, w, sigma = np.deg2rad(2.0), 2 * np.pi * 0.3, np.deg2rad(0.1)
     roll = amplitude * np.sin(w * t)
     rest = 1e-7 * np.sin(w * t)  # the other axes tell nothing
-    q = np.column_stack([np.sin(roll / 2), rest, rest, np.cos(roll / 2)])
-    trajectory = Trajectory(
-        frame=FRAME,
-        t_gps_s=t,
-        position_wcs_m=np.zeros((len(t), 3)),
-        quaternion_wcs_ics=q / np.linalg.norm(q, axis=1, keepdims=True),
-        cov_pose_wcs=np.tile(sigma**2 * np.eye(6), (len(t), 1, 1)),
-        valid=np.ones(len(t), bool),
-    )
+    swinging = Rotation.from_quat(np.column_stack([np.sin(roll / 2), rest, rest, np.cos(roll / 2)]))
+    trajectory = trajectory_of(t, attitude=swinging, cov=sigma**2)
     expected = sigma / np.sqrt(w * (amplitude * w) ** 2 / 2 * 100.0)
     # rates over 0.3 s lose 1.3 % of their size, and the ends of the span
     # poses of the span alone, and no others than there are
@@ -191,14 +182,8 @@ def test_real_recordings_of_a_second_that_did_not_move_tell_no_time(data_dir, fo
     """A room, 0.39 s, and a car that waits, 1.49 s: what is missing is named, and no time is made up."""
     reader = lidar_reader([next((data_dir / folder).rglob("*.pcap"))], LidarOptions())
     t = np.arange(1e9, 1e9 + 10.0, 0.01)
-    turned = 0.01 * np.sin(t - t[0])
-    trajectory = Trajectory(
-        frame=FRAME,
-        t_gps_s=t,
-        position_wcs_m=np.zeros((len(t), 3)),
-        quaternion_wcs_ics=np.column_stack([np.zeros((len(t), 2)), np.sin(turned), np.cos(turned)]),
-        cov_pose_wcs=np.tile(1e-6 * np.eye(6), (len(t), 1, 1)),
-        valid=np.ones(len(t), bool),
+    trajectory = trajectory_of(
+        t, attitude=Rotation.from_euler("z", 0.02 * np.sin(t - t[0])[:, None]), cov=1e-6
     )
     with pytest.raises(
         CoverageError, match=f"^{pairs} pairs of sweeps that show surfaces; expected at least 50"

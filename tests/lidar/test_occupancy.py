@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 from scipy.spatial import cKDTree
 
 from thalweg.core import GeometryError
@@ -11,20 +12,23 @@ from thalweg.lidar.filters import CELLS_PER_RADIUS, blocks_within
 RADIUS_M = 0.5
 
 
-def cloud(rng: np.random.Generator, n: int = 6000) -> np.ndarray:
+def cloud(rng, n=6000):
     """A surface on both sides of the origin with points strewn about it."""
     surface = np.column_stack([rng.uniform(-8, 8, (n, 2)), rng.normal(scale=0.05, size=n)])
     return np.concatenate([surface, rng.uniform(-8, 8, (n // 4, 3))])
 
 
-def filled(points: np.ndarray, radius_m: float = RADIUS_M) -> Occupancy:
+def filled(points, use=None, radius_m=RADIUS_M, pieces=1):
+    """The counts of points, added in so many pieces."""
     grid = Occupancy(radius_m)
-    grid.add(points)
+    use = np.ones(len(points), bool) if use is None else np.asarray(use)
+    for part in np.array_split(np.arange(len(points)), pieces):
+        grid.add(points[part], use[part])
     grid.freeze()
     return grid
 
 
-def slow_count(points: np.ndarray, places: np.ndarray, radius_m: float = RADIUS_M) -> np.ndarray:
+def slow_count(points, places, radius_m=RADIUS_M):
     """Points in the cells that the sphere touches: by distance of each place to each cell's box."""
     cell_m = radius_m / CELLS_PER_RADIUS
     cells, n = np.unique(np.floor(points / cell_m), axis=0, return_counts=True)
@@ -38,62 +42,37 @@ def test_counts_are_those_of_the_touched_cells(rng):
     points = cloud(rng)
     grid = filled(points)
     places = np.concatenate([points[::60], rng.uniform(-9, 9, (100, 3))])
-    expected = np.minimum(slow_count(points, places), MOST_COUNTED)
-    np.testing.assert_array_equal(grid.near(places, enough=MOST_COUNTED), expected)
-    for enough in (1, 4, 50):
-        np.testing.assert_array_equal(grid.near(places, enough=enough), np.minimum(expected, enough))
-
-
-def test_no_neighbour_within_the_radius_is_missed_and_none_beyond_the_reach_counts(rng):
-    points = cloud(rng, 3000)
-    grid = filled(points)
-    found = grid.neighbours(points)
-    tree = cKDTree(points)
-    at_least = tree.query_ball_point(points, RADIUS_M, return_length=True) - 1
-    at_most = tree.query_ball_point(points, grid.reach_m, return_length=True) - 1
-    assert (found >= np.minimum(at_least, MOST_COUNTED - 1)).all()
-    assert (found <= at_most).all()
     assert grid.reach_m == pytest.approx(1.866 * RADIUS_M, abs=1e-3 * RADIUS_M)
-    # the bounds are no empty words: both numbers differ for most points
-    assert np.mean(at_least < at_most) > 0.5
+    assert_array_equal(
+        grid.neighbours(points[::60]), np.minimum(slow_count(points, points[::60]), MOST_COUNTED) - 1
+    )
+    expected = np.minimum(slow_count(points, places), MOST_COUNTED)
+    assert_array_equal(grid.near(places, enough=MOST_COUNTED), expected)
+    for enough in (1, 4, 50):
+        assert_array_equal(grid.near(places, enough=enough), np.minimum(expected, enough))
 
 
 def test_order_and_pieces_do_not_matter(rng):
     points = cloud(rng, 40_000) * 4.0  # enough blocks that the table grows
-    use = rng.random(len(points)) < 0.7
-    whole = Occupancy(RADIUS_M)
-    whole.add(points, use)
+    use, order = rng.random(len(points)) < 0.7, rng.permutation(len(points))
+    whole = filled(points, use)
     assert len(whole._counts) > 4096  # it has grown
-    pieces = Occupancy(RADIUS_M)
-    order = rng.permutation(len(points))
-    for part in np.array_split(order, 37):
-        pieces.add(points[part], use[part])
-    only = Occupancy(RADIUS_M)
-    only.add(points[use])
-    for grid in (whole, pieces, only):
-        grid.freeze()
     expected = whole.near(points, enough=100)
-    for grid in (pieces, only):
-        np.testing.assert_array_equal(grid.near(points, enough=100), expected)
+    for grid in (filled(points[order], use[order], pieces=37), filled(points[use])):
+        assert_array_equal(grid.near(points, enough=100), expected)
         assert grid.n_points == use.sum()
-    backwards = whole.near(points[::-1].copy(), enough=100)
-    np.testing.assert_array_equal(backwards[::-1], expected)
+    assert_array_equal(whole.near(points[::-1].copy(), enough=100), expected[::-1])
 
 
 def test_points_that_do_not_count_may_lie_anywhere():
     points = np.array([[0.0, 0, 0], [np.nan, 0, 0], [np.inf, 0, 0], [1e12, 0, 0], [0.1, 0, 0]])
-    grid = Occupancy(RADIUS_M)
-    grid.add(points, [True, False, False, False, True])
-    grid.freeze()
+    grid = filled(points, [True, False, False, False, True])
     assert grid.near(points, enough=5).tolist() == [2, 0, 0, 0, 2]
     assert grid.neighbours(points, enough=5).tolist() == [1, 0, 0, 0, 1]
 
 
 def test_a_crowded_cell_does_not_overflow():
-    grid = Occupancy(RADIUS_M)
-    for _ in range(5):
-        grid.add(np.full((100, 3), 0.1))
-    grid.freeze()
+    grid = filled(np.full((500, 3), 0.1), pieces=5)
     assert grid.near([[0.1, 0.1, 0.1]], enough=MOST_COUNTED).tolist() == [MOST_COUNTED]
     assert grid.n_points == 500
 
@@ -125,11 +104,8 @@ def test_wrong_use_is_refused():
 
 
 def test_memory_follows_the_surface_not_the_points(rng):
-    few, many = Occupancy(RADIUS_M), Occupancy(RADIUS_M)
-    square = np.array([20.0, 20.0, 0.0])
-    few.add(rng.random((50_000, 3)) * square)
-    for _ in range(10):
-        many.add(rng.random((50_000, 3)) * square)
+    points = rng.random((550_000, 3)) * [20.0, 20.0, 0.0]
+    few, many = filled(points[:50_000]), filled(points[50_000:], pieces=10)
     assert many.n_bytes <= 1.1 * few.n_bytes
 
 
@@ -143,7 +119,7 @@ def test_grids_of_parts_add_up_to_that_of_all(rng):
         grid.add(part)
         joined.add_blocks(*grid.blocks())
     for mine, other in zip(joined.blocks(), whole.blocks(), strict=True):
-        np.testing.assert_array_equal(mine, other)
+        assert_array_equal(mine, other)
     # of a box only what touches it is needed, with the reach of the question about it
     low, high = np.array([-10.0, -20.0]), np.array([15.0, 4.0])
     keys, counts = whole.blocks()
@@ -154,7 +130,21 @@ def test_grids_of_parts_add_up_to_that_of_all(rng):
     for grid in (whole, some):
         grid.freeze()
     inside = points[((points[:, :2] >= low) & (points[:, :2] <= high)).all(axis=1)]
-    np.testing.assert_array_equal(some.near(inside, enough=200), whole.near(inside, enough=200))
+    assert_array_equal(some.near(inside, enough=200), whole.near(inside, enough=200))
     assert some.near(points[:1], enough=254)[0] == 254
     with pytest.raises(RuntimeError, match="frozen"):
         some.add_blocks(keys, counts)
+
+
+def test_no_neighbour_within_the_radius_is_missed_and_none_beyond_the_reach_counts(rng):
+    points = cloud(rng, 3000)
+    grid = filled(points)
+    found = grid.neighbours(points)
+    tree = cKDTree(points)
+    at_least = tree.query_ball_point(points, RADIUS_M, return_length=True) - 1
+    at_most = tree.query_ball_point(points, grid.reach_m, return_length=True) - 1
+    assert (found >= np.minimum(at_least, MOST_COUNTED - 1)).all()
+    assert (found <= at_most).all()
+    assert grid.reach_m == pytest.approx(1.866 * RADIUS_M, abs=1e-3 * RADIUS_M)
+    # the bounds are no empty words: both numbers differ for most points
+    assert np.mean(at_least < at_most) > 0.5

@@ -1,19 +1,22 @@
 """Sizes of pose errors from planes that were seen again; the scene is made here, not by the digital twin."""
 
 from dataclasses import replace
+from itertools import product
 from types import SimpleNamespace
-from typing import cast
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
+from scipy.signal import lfilter
 from scipy.sparse import csr_matrix
 from scipy.spatial.transform import Rotation
 
 from tests.bands import band
-from thalweg.core import ArrayF, LocalFrame, Rigid, Trajectory, attitude_axes, rotation_enu_body
+from tests.core.conftest import trajectory_of
+from thalweg.core import Rigid, attitude_axes, rotation_enu_body
 from thalweg.ingest import LidarClock
 from thalweg.ingest.registry import lidar_reader
-from thalweg.lidar import LogSettings, error_model_of_log, overlap
+from thalweg.lidar import error_model_of_log, overlap
 from thalweg.lidar.cloud import LogSample
 from thalweg.lidar.overlap import (
     Planes,
@@ -47,67 +50,52 @@ MOUNT = Rigid(
 BEAM = LidarAccuracy(sigma_component_m=0.01, divergence_mrad=0.0, sigma_weak_m=0.0, sigma_time_s=0.0)
 
 
-def prior(**changes: float) -> PriorErrors:
-    values = {
-        "white_share": 0.25,
-        "position_time_s": 10.0,
-        "attitude_time_s": 20.0,
-        "spread": 2.0,
-        "time_spread": 3.0,
-    }
+SETTINGS = {
+    "white_share": 0.25,
+    "position_time_s": 10.0,
+    "attitude_time_s": 20.0,
+    "spread": 2.0,
+    "time_spread": 3.0,
+}
+
+
+def prior(**changes):
     return PriorErrors(
         sigma_position_m=np.array([0.02, 0.02, 0.03]),
         sigma_attitude_rad=np.deg2rad([0.1, 0.1, 0.2]),
-        **(values | changes),
+        **(SETTINGS | changes),
     )
 
 
-def process(rng: np.random.Generator, t: ArrayF, sigma: ArrayF, time_s: float) -> ArrayF:
+def process(rng, t, sigma, time_s):
     """Gauss-Markov processes (n, k) at even times."""
     keep = np.exp(-(t[1] - t[0]) / time_s)
     out = rng.standard_normal((len(t), len(sigma)))
-    for k in range(1, len(t)):
-        out[k] = keep * out[k - 1] + np.sqrt(1 - keep**2) * out[k]
-    return out * sigma
+    out[1:] *= np.sqrt(1 - keep**2)
+    return lfilter([1.0], [1.0, -keep], out, axis=0) * sigma
 
 
-def survey(
-    seed: int, *, size: float = 1.0, time: float = 1.0, deviation_rad: float = 0.0
-) -> tuple[LogSample, Trajectory]:
+def survey(seed, *, size=1.0, deviation_rad=0.0):
     """A boat that turns between two banks of plane patches, each of which is seen again and again."""
     rng = np.random.default_rng(seed)
     t = np.arange(0.0, LENGTH_S + 0.1, 0.1)
     heading = np.deg2rad(80.0) * np.sin(2 * np.pi * t / 15.0)
     boat = np.stack([1.2 * t, 2 * np.sin(t / 4), np.zeros_like(t)], axis=1)
     R = rotation_enu_body(np.zeros_like(t), np.zeros_like(t), heading)
-    p = prior()
-    slow, white = p.sigmas()
-    error = process(rng, t, size * slow[:3], 10.0 * time)
+    slow, white = prior().sigmas()
+    error = process(rng, t, size * slow[:3], 10.0)
     epochs = np.arange(0.0, LENGTH_S + 1, EPOCH_S)
     noise = size * white * rng.standard_normal((len(epochs), 3))
     error += np.stack([np.interp(t, epochs, axis) for axis in noise.T], axis=1)
-    angles = process(rng, t, size * slow[3:], 20.0 * time)
+    angles = process(rng, t, size * slow[3:], 20.0)
     angles[:, 2] += deviation_rad * np.sin(heading)
     turn = np.einsum("nk,nki->ni", angles, attitude_axes(R))
     R_wrong = Rotation.from_rotvec(turn).as_matrix() @ R
     wrong = boat + R @ LEVER + error - R_wrong @ LEVER
-    trajectory = Trajectory(
-        frame=LocalFrame(lat_deg=51.0, lon_deg=13.0, h_ell_m=200.0),
-        t_gps_s=t,
-        position_wcs_m=wrong,
-        quaternion_wcs_ics=Rotation.from_matrix(R_wrong).as_quat(),
-        cov_pose_wcs=np.tile(np.eye(6) * 1e-4, (len(t), 1, 1)),
-        valid=np.ones(len(t), dtype=bool),
-    )
     n = 250
-    centre = np.stack(
-        [
-            rng.integers(0, 24, n) + 0.25,
-            rng.choice([-1, 1], n) * (rng.integers(6, 20, n) + 0.25),
-            rng.integers(0, 6, n) + 0.25,
-        ],
-        axis=1,
-    )
+    east, side, north = rng.integers(0, 24, n), rng.choice([-1, 1], n), rng.integers(6, 20, n)
+    up = rng.integers(0, 6, n)
+    centre = np.stack([east + 0.25, side * (north + 0.25), up + 0.25], axis=1)
     normal = rng.standard_normal((n, 3))
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     which, at = np.repeat(np.arange(n), 60), np.sort(rng.integers(0, len(t), (n, 60)), axis=1).ravel()
@@ -122,29 +110,32 @@ def survey(
         range_m=np.linalg.norm(body, axis=1),
         reflectivity=np.full(len(at), 30.0),
     )
-    return sample, trajectory
+    return sample, trajectory_of(t, wrong, Rotation.from_matrix(R_wrong))
 
 
-def estimated(sample: LogSample, trajectory: Trajectory, p: PriorErrors, mount: Rigid = MOUNT) -> ErrorModel:
-    return estimate_pose_errors(
-        [sample],
-        [(0.0, LENGTH_S)],
-        trajectory,
-        mount,
-        lever_ics_antenna_m=LEVER,
-        prior=p,
-        beam=BEAM,
-        epoch_s=EPOCH_S,
-    )
+def estimated(sample, trajectory, mount=MOUNT):
+    how = {"lever_ics_antenna_m": LEVER, "prior": prior(), "beam": BEAM, "epoch_s": EPOCH_S}
+    return estimate_pose_errors([sample], [(0.0, LENGTH_S)], trajectory, mount, **how)
+
+
+def window_of(sample, trajectory, length_s=LENGTH_S, epoch_s=EPOCH_S):
+    return _window(sample, sample.xyz_wcs_m, trajectory, MOUNT, LEVER, BEAM, 0.0, length_s, epoch_s)
+
+
+def density_of(window):
+    sigma_mount = np.concatenate([MOUNT.sigma_rotation_rad, MOUNT.sigma_shift_m])
+    return _Likelihood([window], prior(), sigma_mount, epoch_s=EPOCH_S)
+
+
+def model_of_log(trajectory, how, epochs, *, estimate):
+    """The error model of a log that has no file."""
+    known = {"positions_t_gps_s": epochs, "lever_ics_antenna_m": LEVER}
+    settings = SETTINGS | {"estimate": estimate}
+    return error_model_of_log(lidar_reader([]), LidarClock(), trajectory, how, settings=settings, **known)
 
 
 def test_the_gradient_is_that_of_the_density():
-    sample, trajectory = survey(5)
-    window = _window(sample, sample.xyz_wcs_m, trajectory, MOUNT, LEVER, BEAM, 0.0, LENGTH_S, EPOCH_S)
-    assert window is not None
-    density = _Likelihood(
-        [window], prior(), np.concatenate([MOUNT.sigma_rotation_rad, MOUNT.sigma_shift_m]), epoch_s=EPOCH_S
-    )
+    density = density_of(window_of(*survey(5)))
     z = np.array([0.3, -0.2, 0.1, 0.4, -0.3, 0.2])
     gradient = density(z)[1]
     for i, step in enumerate(1e-4 * np.eye(len(NAMES))):
@@ -156,9 +147,7 @@ def test_what_changes_between_knots_is_new_in_each_epoch():
     """Weight of the white noise by hand: its own variance, a third of what each position leaves, and what an
     attitude leaves on its mean arm; half of either, because an epoch holds two intervals of knots.
     """
-    sample, trajectory = survey(5)
-    window = _window(sample, sample.xyz_wcs_m, trajectory, MOUNT, LEVER, BEAM, 0.0, LENGTH_S, EPOCH_S)
-    assert window is not None
+    window = window_of(*survey(5))
     p = prior(position_time_s=0.5, attitude_time_s=1.0)
     P, _, _ = _Likelihood([window], p, np.full(6, 1e-3), epoch_s=EPOCH_S)._prior(window, np.zeros(len(NAMES)))
     slow, white = p.sigmas()
@@ -190,14 +179,14 @@ def test_planes_are_made_again_without_the_errors_that_were_found(monkeypatch):
     """
     thick_m = []
 
-    def noted(x: ArrayF, t: ArrayF) -> Planes:
+    def noted(x, t):
         planes = planes_seen_again(x, t)
         values = _principal_axes(x[planes.order], planes.owner, planes.n)[2]
         thick_m.append(float(np.sqrt(values[:, 0].mean())))
         return planes
 
     monkeypatch.setattr(overlap, "planes_seen_again", noted)
-    estimated(*survey(3), prior())
+    estimated(*survey(3))
     assert len(thick_m) == 2
     assert thick_m[0] > 0.02
     assert thick_m[1] < 0.012
@@ -206,25 +195,19 @@ def test_planes_are_made_again_without_the_errors_that_were_found(monkeypatch):
 def test_a_magnet_on_the_boat_is_noticed():
     """2 degrees times the heading's sine, ten times what attitudes err: found, and significant."""
     size = np.deg2rad(2.0)
-    found = estimated(*survey(11, deviation_rad=float(size)), prior())
+    found = estimated(*survey(11, deviation_rad=float(size)))
     sigma = np.sqrt(np.diag(np.asarray(found.cov_deviation_rad2)))
     # the prior of 0.3 degrees pulls it in
     assert 0.5 * size < found.deviation_rad[0] < 1.1 * size
     assert abs(found.deviation_rad[1]) < 4 * sigma[1]
     assert found.deviation_is_significant
-    assert not estimated(*survey(12), prior()).deviation_is_significant
+    assert not estimated(*survey(12)).deviation_is_significant
 
 
 def test_without_planes_the_prior_counts_with_its_width():
     sample, trajectory = survey(1)
-    rng = np.random.default_rng(0)
-    bush = LogSample(
-        xyz_wcs_m=sample.xyz_wcs_m + rng.normal(0, 1.0, sample.xyz_wcs_m.shape),
-        t_gps_s=sample.t_gps_s,
-        range_m=sample.range_m,
-        reflectivity=sample.reflectivity,
-    )
-    found = estimated(bush, trajectory, prior())
+    leaves = np.random.default_rng(0).normal(0, 1.0, sample.xyz_wcs_m.shape)
+    found = estimated(replace(sample, xyz_wcs_m=sample.xyz_wcs_m + leaves), trajectory)
     assert not any(e.informed for e in found.estimates.values())
     assert found.estimates["heading"].predictive == pytest.approx(np.exp(np.log(2) ** 2))
     assert "plane spots" in found.notes[0]
@@ -253,10 +236,7 @@ def test_noise_of_the_lidar_is_told_from_roughness(component, footprint):
 def test_windows_cover_short_surveys_and_sample_long_ones():
     assert windows_of(100.0, 120.0) == [(100.0, 20.0)]
     assert windows_of(0.0, 39.0) == [(0.0, 19.5), (19.5, 19.5)]
-    starts = windows_of(0.0, 1000.0)
-    assert len(starts) == 5
-    assert starts[0] == (0.0, 20.0)
-    assert starts[-1] == (980.0, 20.0)
+    assert windows_of(0.0, 1000.0) == [(start, 20.0) for start in (0.0, 245.0, 490.0, 735.0, 980.0)]
 
 
 def test_a_lidar_without_a_footprint_keeps_the_width_of_its_prior():
@@ -287,32 +267,15 @@ def test_of_too_many_planes_some_are_taken_once_each():
 
 def test_white_noise_comes_with_the_positions_and_else_with_the_nodes(monkeypatch):
     """Nodes every 0.1 s, positions every 0.5 s."""
-    asked = {}
+    asked, trajectory = {}, survey(1)[1]
     monkeypatch.setattr(overlap, "sample_log", lambda *_: [])
     monkeypatch.setattr(overlap, "estimate_pose_errors", lambda *of, **how: asked.update(how, of=of))
-    settings = {
-        "estimate": True,
-        "white_share": 0.25,
-        "position_time_s": 10.0,
-        "attitude_time_s": 20.0,
-        "spread": 2.0,
-        "time_spread": 3.0,
-    }
-    how = cast(LogSettings, SimpleNamespace(mount=MOUNT, beam=BEAM))
     for epochs, step_s in ((np.array([0.0, 0.5, np.nan, 1.0, 1.5]), 0.5), (None, 0.1)):
-        error_model_of_log(
-            lidar_reader([]),
-            LidarClock(),
-            survey(1)[1],
-            how,
-            positions_t_gps_s=epochs,
-            lever_ics_antenna_m=LEVER,
-            settings=settings,
-        )
+        model_of_log(trajectory, SimpleNamespace(mount=MOUNT, beam=BEAM), epochs, estimate=True)
         assert asked["epoch_s"] == pytest.approx(step_s)
-        trajectory, windows = survey(1)[1], asked["of"][1]
-        nodes = trajectory.t_gps_s[trajectory.valid]
-        assert [windows[0][0], sum(windows[-1])] == pytest.approx(nodes[[0, -1]].tolist(), abs=1e-9)
+        windows = asked["of"][1]
+        nodes = trajectory.t_gps_s[[0, -1]]
+        assert [windows[0][0], sum(windows[-1])] == pytest.approx(nodes.tolist(), abs=1e-9)
 
 
 def test_an_uncertain_mount_is_not_taken_for_errors_of_the_poses():
@@ -325,18 +288,16 @@ def test_an_uncertain_mount_is_not_taken_for_errors_of_the_poses():
     turned = Rotation.from_euler("x", 1.0, degrees=True).apply(arm) + MOUNT.shift_m
     wrong = replace(sample, xyz_wcs_m=np.einsum("nij,nj->ni", R, turned) + boat)
     loose = MOUNT.with_cov(np.diag(np.r_[5e-4, 5e-4, 5e-4, np.deg2rad([1.0, 1.0, 1.0])] ** 2))
-    found = estimated(wrong, trajectory, prior(), loose).estimates["roll_pitch"]
+    found = estimated(wrong, trajectory, loose).estimates["roll_pitch"]
     assert abs(np.log(found.value)) < 3 * found.sigma_log
     # held at 0.3 mrad the mount leaves it to roll and pitch
-    taken = estimated(wrong, trajectory, prior(), MOUNT).estimates["roll_pitch"]
+    taken = estimated(wrong, trajectory).estimates["roll_pitch"]
     assert np.log(taken.value) > 5 * taken.sigma_log
 
 
 def test_knots_reach_to_the_end_of_a_window():
     """19.9 s: 80 intervals of 0.25 s and 67 of 0.3 s, each with a knot more."""
-    sample, trajectory = survey(1)
-    window = _window(sample, sample.xyz_wcs_m, trajectory, MOUNT, LEVER, BEAM, 0.0, 19.9, 0.3)
-    assert window is not None
+    window = window_of(*survey(1), 19.9, 0.3)
     assert (window.n_slow, window.n_fast) == (81, 68)
 
 
@@ -367,57 +328,46 @@ def test_the_scatter_about_planes_by_hand():
     planes = Planes(order=np.arange(32), owner=owner, centre_m=np.zeros((2, 3)), axes=np.zeros((2, 3, 3)))
     noise = np.repeat([4e-6, 1e-6], [20, 12]), np.r_[np.full(10, 1e-6), np.full(10, 3e-6), np.zeros(12)]
     found = _scatter_of_epochs(d, planes, joined, noise)
-    np.testing.assert_allclose(found.freedom, [16.2])
-    np.testing.assert_allclose(found.variance_m2, [(10 * 1e-6 + 10 * 9e-6) / 16.2])
-    np.testing.assert_allclose(found.component_m2, [4e-6])
-    np.testing.assert_allclose(found.footprint_m2, [2e-6])
+    assert_allclose(found.freedom, [16.2])
+    assert_allclose(found.variance_m2, [(10 * 1e-6 + 10 * 9e-6) / 16.2])
+    assert_allclose(found.component_m2, [4e-6])
+    assert_allclose(found.footprint_m2, [2e-6])
 
 
 def test_sigmas_are_those_of_the_second_derivatives_at_the_best(monkeypatch):
     """The posterior's curvature from its values alone, where the search ended."""
     made = []
     monkeypatch.setattr(overlap, "_window", lambda *of: made.append(_window(*of)) or made[-1])
-    found = estimated(*survey(5), prior())
+    found = estimated(*survey(5))
     window = made[-1]
-    assert window is not None
-    density = _Likelihood(
-        [window], prior(), np.concatenate([MOUNT.sigma_rotation_rad, MOUNT.sigma_shift_m]), epoch_s=EPOCH_S
-    )
+    density = density_of(window)
     mean, spread = prior().mean_and_spread()
-    z = np.array(
-        [(np.log(found.estimates[name].value) - mean[i]) / spread[i] for i, name in enumerate(NAMES)]
-    )
+    z = (np.log([found.estimates[name].value for name in NAMES]) - mean) / spread
     step = 0.1 * np.eye(len(NAMES))
-    value = {
-        (i, j, a, b): density(z + a * step[i] + b * step[j])[0]
-        for i in range(len(NAMES))
-        for j in range(i + 1)
-        for a in (-1, 1)
-        for b in (-1, 1)
-    }
-    second = np.zeros((len(NAMES), len(NAMES)))
-    for i, j, a, b in value:
-        second[i, j] += a * b * value[i, j, a, b] / (4 * 0.1**2)
+    second = np.zeros_like(step)
+    for i, j in zip(*np.tril_indices(len(NAMES)), strict=True):
+        for a, b in product((-1, 1), repeat=2):
+            second[i, j] += a * b * density(z + a * step[i] + b * step[j])[0] / (4 * 0.1**2)
     second += np.tril(second, -1).T
     sigma = spread * np.sqrt(np.diag(np.linalg.inv(second / 2)))
     # both are differences over a tenth of a prior's sigma, of values and of slopes
-    np.testing.assert_allclose([found.estimates[name].sigma_log for name in NAMES], sigma, rtol=0.02)
-    np.testing.assert_allclose([found.estimates[name].prior for name in NAMES], np.exp(mean))
+    assert_allclose([found.estimates[name].sigma_log for name in NAMES], sigma, rtol=0.02)
+    assert_allclose([found.estimates[name].prior for name in NAMES], np.exp(mean))
     assert (found.windows, found.planes, found.observations) == (1, window.planes, window.observations)
 
 
-def test_sizes_are_found_whatever_is_stated():
+@pytest.mark.parametrize("size", [0.5, 2.0])
+def test_sizes_are_found_whatever_is_stated(size):
     """True errors of half and twice the stated size: logarithms within their sigmas, two-sided."""
-    for size in (0.5, 2.0):
-        names = ("position", "roll_pitch", "heading", "white")
-        found = [estimated(*survey(seed, size=size), prior()).estimates for seed in range(2)]
-        z = np.array([[np.log(f[n].value / size) / f[n].sigma_log for n in names] for f in found])
-        sigma = np.array([[f[n].sigma_log for n in names] for f in found])
-        # The prior pulls towards 1, which lies one of its sigmas off: the expectation of a square stays 1.
-        low, high = band(z.size)  # four sizes of two surveys
-        assert low < np.mean(z**2) < high
-        assert np.all(sigma < 0.9 * np.log(2)), "a survey says more than the prior alone"
-        assert all(f["white"].sigma_log < 0.2 for f in found), "forty epochs of three axes tell noise"
+    names = ("position", "roll_pitch", "heading", "white")
+    found = [estimated(*survey(seed, size=size)).estimates for seed in range(2)]
+    error = np.array([[np.log(f[n].value / size) for n in names] for f in found])
+    sigma = np.array([[f[n].sigma_log for n in names] for f in found])
+    # The prior pulls towards 1, which lies one of its sigmas off: the expectation of a square stays 1.
+    low, high = band(error.size)  # four sizes of two surveys
+    assert low < np.mean((error / sigma) ** 2) < high
+    assert np.all(sigma < 0.9 * np.log(2)), "a survey says more than the prior alone"
+    assert (sigma[:, 3] < 0.2).all(), "forty epochs of three axes tell noise"
 
 
 # ---------------------------------------------------------------- parts, by hand
@@ -462,44 +412,37 @@ def test_planes_are_taken_out_as_unknowns():
     B = np.zeros((12, 6))
     B[:6, :3], B[6:, 3:] = own[:6], own[6:]
     rest = np.eye(12) - B @ np.linalg.solve(B.T @ B, B.T)
-    np.testing.assert_allclose(N, A.T @ rest @ A, rtol=1e-6)
-    np.testing.assert_allclose(h, A.T @ rest @ d, rtol=1e-6, atol=1e-7)
+    assert_allclose(N, A.T @ rest @ A, rtol=1e-6)
+    assert_allclose(h, A.T @ rest @ d, rtol=1e-6, atol=1e-7)
 
 
 def test_rows_of_a_point_are_its_moves_by_each_error():
     """Finite turns and shifts of the boat about its antenna, of the scanner on its mount, of a magnet."""
     heading = np.deg2rad(50.0)
     R = rotation_enu_body(np.array([0.1]), np.array([-0.2]), np.array([heading]))
-    trajectory = Trajectory(
-        frame=LocalFrame(lat_deg=51.0, lon_deg=13.0, h_ell_m=200.0),
-        t_gps_s=np.array([0.0, 2.0]),
-        position_wcs_m=np.array([[1.0, 2.0, 3.0], [3.0, 2.0, 5.0]]),
-        quaternion_wcs_ics=Rotation.from_matrix(np.tile(R, (2, 1, 1))).as_quat(),
-        cov_pose_wcs=np.tile(np.eye(6), (2, 1, 1)),
-        valid=np.ones(2, dtype=bool),
-    )
+    trajectory = trajectory_of([0.0, 2.0], [[1.0, 2.0, 3.0], [3.0, 2.0, 5.0]], Rotation.from_matrix(R[0]))
     boat, x, normal = np.array([1.5, 2.0, 3.5]), np.array([7.0, -4.0, 6.0]), np.array([2.0, -1.0, 2.0]) / 3
     pose, border, scanner = _rows(normal[None], x[None], np.array([0.5]), trajectory, MOUNT, LEVER)
-    np.testing.assert_allclose(scanner[0], boat + R[0] @ MOUNT.shift_m)
+    assert_allclose(scanner[0], boat + R[0] @ MOUNT.shift_m)
     antenna, body = boat + R[0] @ LEVER, R[0].T @ (x - boat)
     axes, e = attitude_axes(R)[0], 1e-6
 
-    def move(turn_wcs: ArrayF) -> float:
+    def move(turn_wcs):
         turned = Rotation.from_rotvec(turn_wcs).as_matrix() @ R[0]
         return float(normal @ (antenna - turned @ LEVER + turned @ body - x)) / e
 
-    np.testing.assert_allclose(pose[0, :3], normal)
-    np.testing.assert_allclose(pose[0, 3:], [move(e * axis) for axis in axes], atol=1e-5)
+    assert_allclose(pose[0, :3], normal)
+    assert_allclose(pose[0, 3:], [move(e * axis) for axis in axes], atol=1e-5)
     on_mount = [
         normal
         @ (R[0] @ (Rotation.from_rotvec(e * axis).apply(body - MOUNT.shift_m) + MOUNT.shift_m - body))
         / e
         for axis in np.eye(3)
     ]
-    np.testing.assert_allclose(border[0, :3], on_mount, atol=1e-5)
-    np.testing.assert_allclose(border[0, 3:6], normal @ R[0])
+    assert_allclose(border[0, :3], on_mount, atol=1e-5)
+    assert_allclose(border[0, 3:6], normal @ R[0])
     forward = R[0, :2, 0] / np.linalg.norm(R[0, :2, 0])
-    np.testing.assert_allclose(border[0, 6:], move(e * axes[2]) * forward, atol=1e-5)
+    assert_allclose(border[0, 6:], move(e * axes[2]) * forward, atol=1e-5)
 
 
 def test_noise_along_a_normal_is_that_of_range_and_of_direction():
@@ -519,8 +462,8 @@ def test_noise_along_a_normal_is_that_of_range_and_of_direction():
     normal = np.tile([0.0, 0.0, 1.0], (2, 1))
     component, footprint = overlap._noise(scanner + rays, scanner, normal, sample, planes, beam)
     of_range = beam.variances(np.array([20.0, 10.0]), np.array([60.0, 5.0]))[0]
-    np.testing.assert_allclose(component, [of_range[0], 0.25 * of_range[1] + 0.75 * 0.02**2])
-    np.testing.assert_allclose(footprint, [0.0, 0.75 * (beam.footprint_share * 3e-3 * 10.0) ** 2], atol=1e-15)
+    assert_allclose(component, [of_range[0], 0.25 * of_range[1] + 0.75 * 0.02**2])
+    assert_allclose(footprint, [0.0, 0.75 * (beam.footprint_share * 3e-3 * 10.0) ** 2], atol=1e-15)
 
 
 def test_the_inverse_covariance_of_a_process_is_that_of_its_values():
@@ -528,13 +471,13 @@ def test_the_inverse_covariance_of_a_process_is_that_of_its_values():
     cov = np.exp(-step * np.abs(np.subtract.outer(np.arange(n), np.arange(n))))
     main, side, log = overlap._gauss_markov(n, step)
     inverse = np.diag(main) + np.diag(side, 1) + np.diag(side, -1)
-    np.testing.assert_allclose(inverse @ cov, np.eye(n), atol=1e-12)
+    assert_allclose(inverse @ cov, np.eye(n), atol=1e-12)
     assert log == pytest.approx(np.linalg.slogdet(inverse)[1])
     # by the logarithm of the correlation time, of which the step is the inverse
     more, less = (overlap._gauss_markov(n, step * np.exp(-e)) for e in (1e-5, -1e-5))
     found = overlap._gauss_markov_by_time(n, step, size)
     for k, factor in enumerate((size**-2, size**-2, 1.0)):
-        np.testing.assert_allclose(found[k], factor * (more[k] - less[k]) / 2e-5, rtol=1e-6)
+        assert_allclose(found[k], factor * (more[k] - less[k]) / 2e-5, rtol=1e-6)
     # trace and square of a tridiagonal matrix against the whole one; of S the lower triangle is read
     rng = np.random.default_rng(3)
     S, x, row = rng.normal(size=(9, 9)), rng.normal(size=9), np.array([0, 2, 3, 5, 7, 8])
@@ -544,22 +487,6 @@ def test_the_inverse_covariance_of_a_process_is_that_of_its_values():
 
 
 def test_an_error_model_that_is_not_estimated_is_the_prior():
-    settings = {
-        "estimate": False,
-        "white_share": 0.25,
-        "position_time_s": 10.0,
-        "attitude_time_s": 20.0,
-        "spread": 2.0,
-        "time_spread": 3.0,
-    }
     trajectory = survey(1)[1]
-    found = error_model_of_log(
-        lidar_reader([]),
-        LidarClock(),
-        trajectory,
-        cast(LogSettings, None),
-        positions_t_gps_s=None,
-        lever_ics_antenna_m=LEVER,
-        settings=settings,
-    )
-    assert found == ErrorModel.presumed(PriorErrors.of_survey(trajectory, LEVER, settings))
+    found = model_of_log(trajectory, None, None, estimate=False)
+    assert found == ErrorModel.presumed(PriorErrors.of_survey(trajectory, LEVER, SETTINGS))

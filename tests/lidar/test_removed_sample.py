@@ -9,12 +9,12 @@ from thalweg.lidar import REMOVED, REMOVED_POINTS, Reason
 from thalweg.lidar.cloud import RemovedSample
 
 
-def sampled(reasons: np.ndarray, most: int, pieces: int) -> RemovedSample:
+def sampled(reasons, most, pieces):
     """A sample of points that carry their number as time."""
     return sampled_rows(reasons, np.arange(len(reasons)), most, pieces)
 
 
-def sampled_rows(reasons: np.ndarray, rows: np.ndarray, most: int, pieces: int = 1) -> RemovedSample:
+def sampled_rows(reasons, rows, most, pieces=1):
     """The same of some of the points."""
     number = np.arange(len(reasons), dtype=np.float64)
     sample = RemovedSample(most)

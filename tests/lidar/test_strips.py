@@ -2,28 +2,28 @@
 
 from dataclasses import replace
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from pyproj import CRS
 from scipy.spatial.transform import Rotation
 from scipy.stats import norm
 
+from tests.core.conftest import FRAME, trajectory_of
+from tests.lidar.conftest import block_of
 from thalweg.core import (
     CoverageError,
     ErrorChain,
     InputError,
     LazWriter,
-    LocalFrame,
     Rigid,
     Trajectory,
     covariance_of_means,
 )
 from thalweg.figures.survey import strips_page
-from thalweg.ingest import PointBlock
-from thalweg.lidar import CELL_M, LogSample, LogSettings, read_stable, strips, thin_log
+from thalweg.lidar import CELL_M, LogSettings, read_stable, strips, thin_log
 from thalweg.lidar.overlap import planes_seen_again
 from thalweg.lidar.strips import (
     BORDER,
@@ -79,7 +79,7 @@ def test_the_covariance_of_means_is_that_of_the_sums():
     hats = np.stack([np.interp(fine, t, node) for node in np.eye(7)])
     mean = hats.reshape(7, 4, -1).mean(axis=2).T
     expected = np.einsum("bi,iukv,ck->bucv", mean, whole, mean).reshape(24, 24)
-    np.testing.assert_allclose(covariance_of_means([chain], np.arange(5.0)), expected, atol=1e-7)
+    assert_allclose(covariance_of_means([chain], np.arange(5.0)), expected, atol=1e-7)
 
 
 def test_a_bank_in_all_directions_halves_the_errors_and_says_so():
@@ -107,7 +107,7 @@ def test_along_a_wall_nothing_is_told(tmp_path):
     assert 0.02 < np.sqrt(np.median(more)) < 0.03
     found.write(tmp_path)
     back = Trajectory.read(tmp_path / "trajectory_strips.parquet")
-    np.testing.assert_allclose(back.cov_pose_wcs, found.trajectory.cov_pose_wcs, rtol=1e-6, atol=1e-12)
+    assert_allclose(back.cov_pose_wcs, found.trajectory.cov_pose_wcs, rtol=1e-6, atol=1e-12)
     page = tmp_path / "strips.html"
     strips_page(found, title="A wall", twin=True, notes=["a note"]).write(page)
     assert "a note" in page.read_text()
@@ -151,11 +151,11 @@ def test_mount_ranges_and_clock_that_are_off_show_there(wrong_scanner):
         widened = (row["sigma"] / row["sigma_before"]) ** 2 / (1 - row["told"])
         assert widened == pytest.approx(1.0) if abs(row["z"]) <= 1 else 1.0 < widened < 1.1
     before = [*np.repeat([np.deg2rad(0.5), 2e-3], 3), 0.2, 0.03]
-    np.testing.assert_allclose(found.border["sigma_before"], before, rtol=1e-6)
+    assert_allclose(found.border["sigma_before"], before, rtol=1e-6)
     turned, moved = np.array(found.border["correction"])[:6].reshape(2, 3)
-    np.testing.assert_allclose(found.mount.R, Rotation.from_rotvec(turned).as_matrix() @ mount.R, atol=1e-12)
-    np.testing.assert_allclose(found.mount.shift_m, mount.shift_m + moved, atol=1e-12)
-    np.testing.assert_allclose(
+    assert_allclose(found.mount.R, Rotation.from_rotvec(turned).as_matrix() @ mount.R, atol=1e-12)
+    assert_allclose(found.mount.shift_m, mount.shift_m + moved, atol=1e-12)
+    assert_allclose(
         np.sqrt(np.diag(found.mount.cov)), found.border["sigma"].to_numpy()[[3, 4, 5, 0, 1, 2]], rtol=1e-9
     )
 
@@ -165,35 +165,35 @@ def test_tables_poses_and_facts_of_strips_are_of_one_mind(wrong_scanner):
     poses, found, _, chains = wrong_scanner
     knots, seen, facts = found.knots, found.observations, found.facts
     edges = T0_S + np.arange(41.0)
-    np.testing.assert_allclose(knots["t_gps_s"], edges[:-1] + 0.5)
+    assert_allclose(knots["t_gps_s"], edges[:-1] + 0.5)
     names = [("east", "m"), ("north", "m"), ("up", "m")]
     names += [(f"rotation_{axis}", "rad") for axis in ("east", "north", "up")]
     correction = np.stack([knots[f"{name}_{unit}"] for name, unit in names], axis=1)
     t = poses.t_gps_s
     of_time = np.stack([np.interp(t, knots["t_gps_s"], column) for column in correction.T], axis=1)
-    np.testing.assert_allclose(found.trajectory.position_wcs_m, poses.position_wcs_m + of_time[:, :3])
+    assert_allclose(found.trajectory.position_wcs_m, poses.position_wcs_m + of_time[:, :3])
     turned = Rotation.from_rotvec(of_time[:, 3:]) * Rotation.from_quat(poses.quaternion_wcs_ics)
     off = (turned.inv() * Rotation.from_quat(found.trajectory.quaternion_wcs_ics)).magnitude()
     assert off.max() < 1e-9
     prior, grown = np.sqrt(np.diag(covariance_of_means(chains, edges))).reshape(-1, 6), []
     for i, (name, unit) in enumerate(names):
         sigma, before = knots[f"sigma_{name}_{unit}"], knots[f"sigma_{name}_before_{unit}"]
-        np.testing.assert_allclose(before, prior[:, i], rtol=1e-6)
+        assert_allclose(before, prior[:, i], rtol=1e-6)
         # of the prior that grew by what the corrections are over their statement
         grown.append((sigma / before) ** 2 / (1 - knots[f"told_{name}"]))
         assert facts["told"][name.replace("_", " ")] == pytest.approx(knots[f"told_{name}"].mean())
     assert 0.999 < np.min(grown) < 1.1
-    np.testing.assert_allclose(grown, np.min(grown), rtol=1e-6)
+    assert_allclose(grown, np.min(grown), rtol=1e-6)
     # amid a span the pose errs as its mean does and by what is faster than the knots
     at = np.searchsorted(t, knots["t_gps_s"])
-    np.testing.assert_allclose(t[at], knots["t_gps_s"])
+    assert_allclose(t[at], knots["t_gps_s"])
     faster = np.diagonal(poses.cov_pose_wcs[at], axis1=1, axis2=2) - prior**2
     own = np.stack([knots[f"sigma_{name}_{unit}"] for name, unit in names], axis=1) ** 2
     after = np.diagonal(found.trajectory.cov_pose_wcs[at], axis1=1, axis2=2)
     assert (after >= own * (1 - 1e-9)).all()
-    np.testing.assert_allclose(after[:, :3], own[:, :3] + faster[:, :3], rtol=0.05)
+    assert_allclose(after[:, :3], own[:, :3] + faster[:, :3], rtol=0.05)
     count = np.histogram(seen["t_gps_s"], edges)[0]
-    np.testing.assert_array_equal(knots["observations"], count)
+    assert_array_equal(knots["observations"], count)
     used = seen["weight"] > 0.1
     assert facts["observations"] == len(seen) == count.sum()
     assert facts["not_on_planes"] == (~used).sum() > 0
@@ -207,7 +207,7 @@ def test_tables_poses_and_facts_of_strips_are_of_one_mind(wrong_scanner):
     assert facts["distance_after_m"] < 0.5 * facts["distance_before_m"]
     share = np.abs(seen["z"])[used]
     assert np.mean(share**2) == pytest.approx(1.0, abs=0.35)
-    np.testing.assert_allclose(seen["weight"], np.clip(1 - (seen["z"] / 4.685) ** 2, 0, None) ** 2, atol=1e-9)
+    assert_allclose(seen["weight"], np.clip(1 - (seen["z"] / 4.685) ** 2, 0, None) ** 2, atol=1e-9)
     factor = seen["group"].map(facts["sigma_factors"])
     sigma = (seen["after_m"] / seen["z"] / factor).groupby(seen["group"]).median()
     assert sigma["smooth"] < sigma["middling"] < sigma["rough"]
@@ -223,10 +223,8 @@ def test_the_lidar_s_mount_by_strips_is_exact_beside_its_own_poses(wrong_scanner
     mounts = mounts_by_strips({"camera": "as it was", "lidar": "old"}, found)
     assert mounts["camera"] == "as it was"
     assert mounts["lidar"]["source"] == "overlapping strips of the survey"
-    np.testing.assert_allclose(mounts["lidar"]["lever_ics_m"], found.mount.shift_m)
-    np.testing.assert_array_equal(
-        [mounts["lidar"]["sigma_lever_m"], mounts["lidar"]["sigma_kappa_deg"] * np.ones(3)], 0
-    )
+    assert_allclose(mounts["lidar"]["lever_ics_m"], found.mount.shift_m)
+    assert_array_equal([mounts["lidar"]["sigma_lever_m"], mounts["lidar"]["sigma_kappa_deg"] * np.ones(3)], 0)
 
 
 @pytest.fixture(scope="module")
@@ -234,10 +232,10 @@ def inside():
     """A small adjustment: its task and observations, the covariance of all unknowns, and its result."""
     drawn = draw(12, Spec(length_m=10.0, estimate=False))
     vague = replace(MOUNT, cov=np.diag([0.02, 0.03, 0.04, 0.01, 0.02, 0.03]) ** 2)
-    kept: dict[str, Any] = {}
+    kept = {}
     made = strips._result
 
-    def noted(task: Any, seen: Any, y: Any, equations: Any, L: Any, *more: Any) -> Any:
+    def noted(task, seen, y, equations, L, *more):
         N = equations[0]
         kept["all"] = task, seen, L @ np.linalg.inv(np.eye(len(N)) + L.T @ N @ L) @ L.T
         return made(task, seen, y, equations, L, *more)
@@ -267,10 +265,10 @@ def test_weights_are_those_of_the_scatter_and_of_roughness_in_common(inside):
     n = points.groupby(["plane", "span"]).size()
     expected = np.sqrt([variance[plane] * (1 / count + 0.05) for (plane, _), count in n.items()])
     kept = np.isin(n.index.get_level_values("plane"), seen.owner)
-    np.testing.assert_allclose(seen.sigma, expected[kept], rtol=1e-3)
-    np.testing.assert_allclose(seen.root_weight(), 1 / seen.sigma)
+    assert_allclose(seen.sigma, expected[kept], rtol=1e-3)
+    assert_allclose(seen.root_weight(), 1 / seen.sigma)
     seen.robust, seen.factors = np.full(len(seen.sigma), 0.25), np.arange(1.0, 1.0 + len(strips.GROUPS))
-    np.testing.assert_allclose(seen.root_weight(), 0.5 / seen.sigma / (1 + seen.group))
+    assert_allclose(seen.root_weight(), 0.5 / seen.sigma / (1 + seen.group))
 
 
 def test_residuals_are_divided_by_what_their_plane_leaves_of_them(inside):
@@ -283,7 +281,7 @@ def test_residuals_are_divided_by_what_their_plane_leaves_of_them(inside):
         B = np.column_stack([np.ones(k.sum()), seen.uv[k]]) / seen.sigma[k, None]
         left = np.eye(k.sum()) - B @ np.linalg.pinv(B)
         z = left @ (seen.d[k] / seen.sigma[k]) / np.sqrt(np.clip(np.diag(left), 0.05, 1.0))
-        np.testing.assert_allclose(seen.z[k] * seen.factors[seen.group[k]], z, rtol=1e-4, atol=1e-4)
+        assert_allclose(seen.z[k] * seen.factors[seen.group[k]], z, rtol=1e-4, atol=1e-4)
 
 
 def test_points_move_with_mount_range_and_clock_as_their_equation_says(inside):
@@ -294,7 +292,7 @@ def test_points_move_with_mount_range_and_clock_as_their_equation_says(inside):
     R = Rotation.random(6, rng).as_matrix()
     x_s, v, omega = (rng.standard_normal((6, 3)) * size for size in (8.0, 1.0, 0.1))
 
-    def placed(step: Any) -> Any:
+    def placed(step):
         turned = Rotation.from_rotvec(step[:3]).apply(
             x_s * (1 + step[6] / np.linalg.norm(x_s, axis=1))[:, None]
         )
@@ -305,7 +303,7 @@ def test_points_move_with_mount_range_and_clock_as_their_equation_says(inside):
     rows = task.border_rows(n, arm, R, v + np.cross(omega, arm))
     for i, one in enumerate(1e-6 * np.eye(8)):
         slope = np.sum(n * (placed(one) - placed(-one)), axis=1) / 2e-6
-        np.testing.assert_allclose(rows[:, i], slope, rtol=1e-6, atol=1e-6, err_msg=BORDER[i])
+        assert_allclose(rows[:, i], slope, rtol=1e-6, atol=1e-6, err_msg=BORDER[i])
 
 
 def test_points_err_by_poses_and_mount_with_what_both_have_in_common(inside):
@@ -314,7 +312,7 @@ def test_points_err_by_poses_and_mount_with_what_both_have_in_common(inside):
     rng = np.random.default_rng(5)
     u = 6 * task.n_spans
     at = np.searchsorted(found.trajectory.t_gps_s, task.centre - 1e-6)
-    np.testing.assert_allclose(found.trajectory.t_gps_s[at], task.centre)
+    assert_allclose(found.trajectory.t_gps_s[at], task.centre)
     R_of = Rotation.from_quat(task.trajectory.quaternion_wcs_ics[at]).as_matrix()
     for k in range(2, task.n_spans, 5):
         n, x_s = rng.standard_normal(3), 10 * rng.standard_normal(3)
@@ -357,9 +355,8 @@ def test_what_is_stated_of_mount_range_and_clock_is_tested_without_itself(border
     found = claims(C, g, BORDER_SIGMA**2)
     assert len(found) == 8
     first = next(iter(found))
-    without = P.copy()
-    without[first, first] = 0.0
-    Q = np.linalg.inv(C + without)
+    P[first, first] = 0.0
+    Q = np.linalg.inv(C + P)
     claim, s = found[first], BORDER_SIGMA[first]
     assert claim.value == pytest.approx((Q @ g)[first], rel=1e-6)
     assert claim.sigma == pytest.approx(np.sqrt(Q[first, first]), rel=1e-6)
@@ -412,7 +409,7 @@ def test_stable_surfaces_tell_what_passes_have_in_common():
     k = rng.choice(np.flatnonzero(drawn.still), 20_000, replace=False)
     surfaces = drawn.true_m[k] + 0.005 * rng.standard_normal((len(k), 3))
 
-    def adjusted(points: Any, **more: float) -> Any:
+    def adjusted(points, **more):
         settings = Strips(knot_s=1.0, max_planes=700, **more)
         return adjust_strips(drawn.sample, drawn.trajectory, MOUNT, drawn.chains, settings, points)
 
@@ -446,7 +443,7 @@ def test_a_clock_that_is_off_is_named_and_where_it_is_asked_for_the_points_lie_b
     asked, _, _ = solve(drawn, replace(spec, settings={"sigma_clock_s": 0.01}))
     off = asked.border.set_index("unknown").loc["clock offset [s]"]
     assert off["correction"] == pytest.approx(-0.005, abs=max(5e-4, 4 * off["sigma"]))
-    np.testing.assert_allclose(asked.of_lidar.t_gps_s - asked.trajectory.t_gps_s, -off["correction"])
+    assert_allclose(asked.of_lidar.t_gps_s - asked.trajectory.t_gps_s, -off["correction"])
     assert not [note for note in asked.facts["notes"] if "clock" in note]
     better, worse = (cell_error_m(drawn, replaced(drawn, each)) for each in (asked, found))
     assert better < worse
@@ -464,14 +461,8 @@ def test_errors_of_twice_what_is_stated_are_named_and_sigmas_grow():
 
 def test_points_of_no_plane_are_refused():
     drawn = draw(905, Spec(**SMALL))
-    rng = np.random.default_rng(0)
-    s = drawn.sample
-    bush = LogSample(
-        xyz_wcs_m=s.xyz_wcs_m + rng.normal(0, 1, s.xyz_wcs_m.shape),
-        t_gps_s=s.t_gps_s,
-        range_m=s.range_m,
-        reflectivity=s.reflectivity,
-    )
+    leaves = np.random.default_rng(0).normal(0, 1, drawn.sample.xyz_wcs_m.shape)
+    bush = replace(drawn.sample, xyz_wcs_m=drawn.sample.xyz_wcs_m + leaves)
     with pytest.raises(CoverageError, match="plane spots of the bank were seen again"):
         adjust_strips(bush, drawn.trajectory, MOUNT, drawn.chains, Strips())
 
@@ -490,48 +481,32 @@ def test_thinning_keeps_some_points_of_each_cell_and_half_second_above_the_water
         [[1.1, 3.1, 1.1], [1.1, 3.1, 1.1], [1.1 + CELL_M, 3.1, 1.1], [0.1, 0.2, 0.1]], [12, 2, 1, 1], axis=0
     )
     at += 0.01 * np.random.default_rng(5).random(at.shape)
-    one = np.ones(len(t), np.uint8)
-    whole = PointBlock(
-        t_gps_s=t, t_device_s=t, xyz_scs_m=at.astype(np.float32),
-        range_m=np.linalg.norm(at, axis=1).astype(np.float32), azimuth_rad=np.zeros(len(t), np.float32),
-        ring=one, laser=one, intensity=np.arange(16, dtype=np.uint8), return_number=one, n_returns=one,
-        packet=np.zeros(len(t), int),
-    )  # fmt: skip
-    frame = LocalFrame(lat_deg=51.0, lon_deg=13.0, h_ell_m=200.0)
-    boat = Trajectory(
-        frame=frame, t_gps_s=4.0e8 + np.array([-1.0, 2.0]), position_wcs_m=np.tile([10.0, 20.0, 3.0], (2, 1)),
-        quaternion_wcs_ics=np.tile([0.0, 0.0, 0.0, 1.0], (2, 1)), cov_pose_wcs=np.zeros((2, 6, 6)),
-        valid=np.ones(2, dtype=np.bool_),
-    )  # fmt: skip
+    whole = block_of(t, at, intensity=np.arange(16, dtype=np.uint8))
+    boat = trajectory_of(4.0e8 + np.array([-1.0, 2.0]), [10.0, 20.0, 3.0], cov=0.0)
     log = SimpleNamespace(points=lambda *_, **__: iter([whole]))
     mount = Rigid(R=np.eye(3), shift_m=np.zeros(3), cov=np.zeros((6, 6)))
     filters = Filters(below_water_m=None, mirror_ghosts=False, isolated_neighbours=0)
     how = LogSettings(mount=mount, beam=BEAM, filters=filters, min_range_m=0.8, max_range_m=9.0)
     thin = thin_log(log, None, boat, how)
-    np.testing.assert_array_equal(np.histogram(thin.t_gps_s - 4.0e8, [0, 0.5, 1.0])[0], [5, 2])
+    assert_array_equal(np.histogram(thin.t_gps_s - 4.0e8, [0, 0.5, 1.0])[0], [5, 2])
     kept = thin.reflectivity.astype(int)
-    assert (len(set(kept)), 14 in kept, 15 in kept) == (7, True, False)
-    np.testing.assert_allclose(thin.xyz_wcs_m, at[kept] + [10.0, 20.0, 3.0], atol=1e-6)
-    np.testing.assert_allclose(thin.range_m, np.linalg.norm(at[kept], axis=1), rtol=1e-6)
-    np.testing.assert_array_equal(thin.t_gps_s, t[kept])
+    assert (len({*kept}), 14 in kept, 15 in kept) == (7, True, False)
+    assert_allclose(thin.xyz_wcs_m, at[kept] + [10.0, 20.0, 3.0], atol=1e-6)
+    assert_allclose(thin.range_m, np.linalg.norm(at[kept], axis=1), rtol=1e-6)
+    assert_array_equal(thin.t_gps_s, t[kept])
 
 
 def test_stable_surfaces_are_read_in_the_frame_of_the_trajectory_or_refused(tmp_path):
-    frame = LocalFrame(lat_deg=51.0, lon_deg=13.0, h_ell_m=200.0)
-    xyz = np.random.default_rng(3).uniform(-20.0, 20.0, (50, 3))
-    for name, stated, at in (
-        ("local", frame, xyz),
-        ("map", CRS.from_epsg(25833), frame.to_map(xyz, CRS.from_epsg(25833))),
-        ("bare", None, frame.to_map(xyz, CRS.from_epsg(25833))),
-    ):
-        with LazWriter(tmp_path / f"{name}.laz", stated) as cloud:
-            cloud.append(at)
-    files = [tmp_path / f"{name}.laz" for name in ("local", "map")]
-    points, _ = read_stable(files, frame, None)
-    np.testing.assert_allclose(points, np.concatenate([xyz, xyz]), atol=2e-3)
+    xyz, utm = np.random.default_rng(3).uniform(-20.0, 20.0, (50, 3)), CRS.from_epsg(25833)
+    local, on_map, bare = (tmp_path / f"{name}.laz" for name in ("local", "map", "bare"))
+    for path, stated in ((local, FRAME), (on_map, utm), (bare, None)):
+        with LazWriter(path, stated) as cloud:
+            cloud.append(xyz if path == local else FRAME.to_map(xyz, utm))
+    points, _ = read_stable([local, on_map], FRAME, None)
+    assert_allclose(points, np.concatenate([xyz, xyz]), atol=2e-3)
     with pytest.raises(InputError, match="--crs"):
-        read_stable([tmp_path / "bare.laz"], frame, None)
-    points, notes = read_stable([tmp_path / "bare.laz"], frame, "EPSG:25833")
-    np.testing.assert_allclose(points, xyz, atol=2e-3)
+        read_stable([bare], FRAME, None)
+    points, notes = read_stable([bare], FRAME, "EPSG:25833")
+    assert_allclose(points, xyz, atol=2e-3)
     assert any("EPSG:25833" in note for note in notes)
-    assert read_stable([], frame, None)[0].shape == (0, 3)
+    assert read_stable([], FRAME, None)[0].shape == (0, 3)

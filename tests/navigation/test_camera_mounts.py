@@ -14,13 +14,13 @@ RELATIVE = Rigid.from_opk(np.deg2rad([-0.5, -1.0, 88.0]), [0.02, -0.06, 0.11])
 SOURCE = Source(run="yard", method="cones")
 
 
-def spread(seed: int, shift_m: float, turn_rad: float) -> np.ndarray:
+def spread(seed, shift_m, turn_rad):
     """A full covariance (6, 6)."""
     root = np.random.default_rng(seed).standard_normal((6, 6)) * np.repeat([shift_m, turn_rad], 3)[:, None]
     return root @ root.T
 
 
-def boat() -> Calibration:
+def boat():
     """As `thalweg.calibration.boat`: the camera comes from lidar and relative orientation."""
     lidar, relative = LIDAR.with_cov(spread(1, 1e-3, 1e-3)), RELATIVE.with_cov(spread(2, 3e-4, 1e-4))
     inverse = relative.inverse()

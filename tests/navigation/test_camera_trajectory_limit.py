@@ -1,12 +1,10 @@
 """When is an image left out of the trajectory by images?"""
 
-from typing import Any
-
 import numpy as np
 import pytest
 
 from thalweg.navigation.camera import CloudSettings, trajectory as module
-from thalweg.navigation.camera.trajectory import CONTRADICTS, BoatImages
+from thalweg.navigation.camera.trajectory import CONTRADICTS
 from thalweg_lab.studies.outage import VoyageSpec, make_survey
 
 
@@ -15,7 +13,7 @@ def test_the_limit_is_that_of_six_components(monkeypatch):
     recorded = make_survey(1, VoyageSpec(duration_s=14.0))
     tests = {4: 22.4, 8: 22.5}
 
-    def neighbour_tests(images: BoatImages, *_: Any) -> np.ndarray:
+    def neighbour_tests(images, *_):
         return np.array([tests.get(int(row), 5.348) for row in images.row])
 
     monkeypatch.setattr(module, "neighbour_tests", neighbour_tests)

@@ -4,23 +4,15 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
-from thalweg.core import LocalFrame, Rigid, Trajectory
+from tests.core.conftest import trajectory_of
+from thalweg.core import Rigid
 from thalweg.lidar import georeference_points
 
-FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
 
-
-def largest_difference_rad(angle_rad: float) -> float:
+def largest_difference_rad(angle_rad):
     """Between kernel and slerp, over the interval between two nodes that differ by an angle."""
     nodes = Rotation.from_rotvec(np.array([[0, 0, 0.3], [0, 0, 0.3 + angle_rad]]))
-    trajectory = Trajectory(
-        frame=FRAME,
-        t_gps_s=np.array([0.0, 1.0]),
-        position_wcs_m=np.zeros((2, 3)),
-        quaternion_wcs_ics=nodes.as_quat(),
-        cov_pose_wcs=np.zeros((2, 6, 6)),
-        valid=np.ones(2, dtype=np.bool_),
-    )
+    trajectory = trajectory_of([0.0, 1.0], attitude=nodes)
     t = np.linspace(0, 1, 2001)
     mount = Rigid(R=np.eye(3), shift_m=np.zeros(3))
     # a point at 1 m across the axis: its displacement is the angle

@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from thalweg.core import ErrorChain
 from thalweg.navigation.fusion import (
@@ -15,19 +16,14 @@ from thalweg.navigation.fusion import (
     make_reference,
     place_nodes,
 )
-from thalweg.navigation.fusion.model import GROUPS, MODEL, RESET, Nodes, Transitions, antenna_of, transitions
-from thalweg.navigation.fusion.solver import Solved, linearised, smooth
+from thalweg.navigation.fusion.model import GROUPS, MODEL, RESET, Nodes, antenna_of, transitions
+from thalweg.navigation.fusion.solver import linearised, smooth
 from thalweg.navigation.fusion.trajectory import pose_states
 from thalweg_lab.studies import outage
 
 SETTINGS = FusionSettings(clock_walk_s=1e-3)
-FACTORS = dict.fromkeys(GROUPS, 1.0) | {
-    "gnss": 1.3,
-    "gnss_white": 0.8,
-    "velocity": 0.7,
-    "camera": 1.1,
-    "roll_pitch": 1.2,
-}
+OWN = {"gnss": 1.3, "gnss_white": 0.8, "velocity": 0.7, "camera": 1.1, "roll_pitch": 1.2}
+FACTORS = dict.fromkeys(GROUPS, 1.0) | OWN
 
 
 @dataclass
@@ -40,7 +36,7 @@ class Task:
     start: np.ndarray
 
 
-def task(settings: FusionSettings = SETTINGS, hole: bool = True) -> Task:
+def task(settings=SETTINGS, hole=True):
     """Three seconds with 31 positions, 3 images and a hole in the INS's velocity."""
     survey = outage.make_survey(3, outage.VoyageSpec(duration_s=12.0))
     t0 = survey.motion.start_gps_s
@@ -51,15 +47,9 @@ def task(settings: FusionSettings = SETTINGS, hole: bool = True) -> Task:
     positions = survey.positions[survey.positions["t_gps_s"].between(t0, t0 + 3.0)].assign(cov_en_m2=1e-4)
     positions["fix"] = np.where(positions["t_gps_s"].between(t0 + 0.95, t0 + 1.45), "float", "fixed")
     near = outage.FRAME.from_geodetic(positions["lat_deg"], positions["lon_deg"], positions["h_ell_m"])
-    reference = make_reference(
-        states,
-        outage.FRAME,
-        sigma_attitude_rad=np.deg2rad([0.1, 0.1, 0.2]),
-        max_attitude_gap_s=0.1,
-        use_velocity=settings.use_ins_velocity,
-        near_t_s=positions["t_gps_s"].to_numpy(),
-        near_wcs_m=near,
-    )
+    how = {"sigma_attitude_rad": np.deg2rad([0.1, 0.1, 0.2]), "max_attitude_gap_s": 0.1}
+    how |= {"near_t_s": positions["t_gps_s"].to_numpy(), "near_wcs_m": near}
+    reference = make_reference(states, outage.FRAME, use_velocity=settings.use_ins_velocity, **how)
     antenna = antenna_of(positions, outage.FRAME, outage.LEVER_ANTENNA_M, [0.01, 0.02, 0.03])
     use = reference.inside(survey.images.t_gps_s)
     camera = camera_of(survey.images, use, survey.T_ccs_ics, settings.sigma_jitter_s)
@@ -73,14 +63,12 @@ def task(settings: FusionSettings = SETTINGS, hole: bool = True) -> Task:
     return Task(reference, nodes, observed, layout, x, np.array([1.0, 2.0, 3.0]))
 
 
-def solved(t: Task, settings: FusionSettings = SETTINGS) -> Solved:
-    at = t.reference.at(t.nodes.t_gps_s)
-    return smooth(
-        t.x, at, t.nodes, t.observed, t.layout, settings, FACTORS, start_m=t.start, clock_start_s=0.003
-    )
+def solved(t, settings=SETTINGS, **more):
+    known = (t.reference.at(t.nodes.t_gps_s), t.nodes, t.observed, t.layout, settings, FACTORS)
+    return smooth(t.x, *known, start_m=t.start, clock_start_s=0.003, **more)
 
 
-def full(chain: Transitions, layout: Layout, k: int) -> tuple[np.ndarray, np.ndarray]:
+def full(chain, layout, k):
     """Transition and noise of all states into node k as full matrices."""
     f, g, dd, de, ee = chain.pair[k]
     F, Q = np.diag(chain.phi[k]), np.diag(chain.q[k])
@@ -93,19 +81,12 @@ def full(chain: Transitions, layout: Layout, k: int) -> tuple[np.ndarray, np.nda
     return F, Q
 
 
-def dense(t: Task, settings: FusionSettings = SETTINGS):
+def dense(t, settings=SETTINGS):
     """Mean (m n,) and covariance (m n, m n) of all states of all nodes, and all parts of the prior."""
     at = t.reference.at(t.nodes.t_gps_s)
-    chain = transitions(
-        t.nodes,
-        t.layout,
-        settings,
-        FACTORS,
-        start_m=t.start,
-        antenna=t.observed.antenna,
-        camera=t.observed.camera,
-        clock_start_s=0.003,
-    )
+    streams = {"antenna": t.observed.antenna, "camera": t.observed.camera}
+    start = {"start_m": t.start, "clock_start_s": 0.003}
+    chain = transitions(t.nodes, t.layout, settings, FACTORS, **streams, **start)
     rows = linearised(t.x, at, t.observed, t.layout, settings).weighted(FACTORS)
     m, n = t.x.shape
     mean = np.zeros((m, n))
@@ -145,28 +126,25 @@ def test_states_and_covariances_agree_with_the_dense_solution():
     x, cov, _ = dense(t)
     m, n = x.shape
     # 1e-9 m, m/s and sigmas: double precision; variances from 1 m to 0.3 mm are apart by 1e7
-    np.testing.assert_allclose(found.x, x, rtol=0, atol=1e-9)
+    assert_allclose(found.x, x, rtol=0, atol=1e-9)
     blocks = cov.reshape(m, n, m, n)
     for k in range(m):
         own = blocks[k, :10, k, :10]
         scale = np.sqrt(np.outer(np.diag(own), np.diag(own)))
-        np.testing.assert_allclose(found.cov[k] / scale, own / scale, rtol=0, atol=1e-8)
+        assert_allclose(found.cov[k] / scale, own / scale, rtol=0, atol=1e-8)
         if k < m - 1:
             after = blocks[k, :10, k + 1, :10]
             scale = np.sqrt(np.outer(np.diag(own), np.diag(blocks[k + 1, :10, k + 1, :10])))
-            np.testing.assert_allclose(found.cross[k] / scale, after / scale, rtol=0, atol=1e-8)
+            assert_allclose(found.cross[k] / scale, after / scale, rtol=0, atol=1e-8)
     last = blocks[-1, :, -1, :]
-    np.testing.assert_allclose(found.last, last, rtol=0, atol=1e-9)
+    assert_allclose(found.last, last, rtol=0, atol=1e-9)
 
 
 def test_errors_of_any_two_nodes_hang_together_as_in_the_dense_solution():
     """As one Markov chain of all states, thinned; of the states of the pose alone it would not be one."""
     t = task()
     n = t.layout.n
-    found = smooth(
-        t.x, t.reference.at(t.nodes.t_gps_s), t.nodes, t.observed, t.layout, SETTINGS, FACTORS,
-        start_m=t.start, clock_start_s=0.003, part=n,
-    )  # fmt: skip
+    found = solved(t, part=n)
     m = len(t.nodes.t_gps_s)
     cov = dense(t)[1].reshape(m, n, m, n)
     pose = np.broadcast_to(np.eye(6, 10), (m, 6, 10))  # the first six states stand for a pose
@@ -234,9 +212,9 @@ def test_between_nodes_the_pose_is_that_of_a_node_placed_there(velocity):
     at = more.nodes.t_gps_s
     mean, cov = pose_states(at, t.nodes, found, settings)
     # 1e-8: the inverse of the noise over 0.1 s has a condition of 1e5
-    np.testing.assert_allclose(mean, finer.x[:, :10], atol=1e-8)
+    assert_allclose(mean, finer.x[:, :10], atol=1e-8)
     scale = np.sqrt(np.einsum("nii,njj->nij", finer.cov, finer.cov))
-    np.testing.assert_allclose(cov / scale, finer.cov / scale, atol=1e-7)
+    assert_allclose(cov / scale, finer.cov / scale, atol=1e-7)
 
 
 def test_rows_are_the_derivatives_of_the_observations():
@@ -253,4 +231,4 @@ def test_rows_are_the_derivatives_of_the_observations():
     change = -np.einsum("ri,ri->r", rows.H, step[rows.node])
     # steps of 1e-4 m and 1e-4 sigmas, noise of 0.3 mm and 1e-3 deg: change of 1, remainder of 1e-3
     assert np.abs(change).max() > 0.1
-    np.testing.assert_allclose(missed_there - missed, change, atol=2e-3)
+    assert_allclose(missed_there - missed, change, atol=2e-3)

@@ -6,7 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from thalweg.navigation.fusion import SPREAD, Fused, FusionErrors, FusionSettings, Prior
+from thalweg.navigation.fusion import SPREAD, FusionErrors, FusionSettings, Prior
 from thalweg.navigation.fusion.errors import applied
 from thalweg.settings.sections import Fused as FusedSection
 from thalweg_lab.studies import outage
@@ -14,20 +14,25 @@ from thalweg_lab.studies import outage
 SETTINGS = FusionSettings()
 
 
-def model(**priors: Prior) -> FusionErrors:
+def model(**priors):
     """What is stated alone."""
     width = np.array([np.log(p.width) for p in priors.values()])
     return FusionErrors(priors=priors, h=np.array([p.at for p in priors.values()]), cov=np.diag(width**2))
 
 
 @cache
-def fused(seed: int, attitude_s: float, gnss_s: float, white: float = 0.25) -> Fused:
+def fused(seed, attitude_s, gnss_s, white=0.25):
     twin = {
         "ins": {"attitude_time_s": attitude_s, "rate_hz": 10.0},
         "gnss": {"correlation_time_s": gnss_s, "white_share": white, "rate_hz": 5.0},
     }
     survey = outage.make_survey(seed, outage.VoyageSpec(duration_s=60.0, twin=twin))
     return outage.fuse(survey, SETTINGS)
+
+
+@cache
+def short():
+    return outage.make_survey(1, outage.VoyageSpec(duration_s=20.0))
 
 
 @pytest.mark.parametrize(("attitude_s", "gnss_s"), [(1.0, 1.0), (20.0, 10.0), (3.0, 30.0)])
@@ -50,7 +55,7 @@ def test_the_white_share_is_found(white):
 
 
 def test_what_images_would_show_is_not_told_without_them_and_enlarges_the_sigmas():
-    survey = outage.make_survey(1, outage.VoyageSpec(duration_s=20.0))
+    survey = short()
     found = outage.fuse(survey, SETTINGS, with_images=False)
     presumed = outage.fuse(survey, SETTINGS.replace(estimate_errors=False), with_images=False)
     assert {"roll_pitch", "heading", "attitude_time_s"} <= set(found.errors.untold())
@@ -65,8 +70,7 @@ def test_what_images_would_show_is_not_told_without_them_and_enlarges_the_sigmas
 
 
 def test_fixed_values_stay_and_the_rest_is_estimated():
-    survey = outage.make_survey(1, outage.VoyageSpec(duration_s=20.0))
-    found = outage.fuse(survey, SETTINGS.replace(fixed=("attitude_time_s", "gnss_white_share")))
+    found = outage.fuse(short(), SETTINGS.replace(fixed=("attitude_time_s", "gnss_white_share")))
     assert not {"attitude_time_s", "gnss_white"} & set(found.errors.priors)
     assert found.settings.attitude_time_s == 20.0
     assert found.solved.factors["gnss"] == found.solved.factors["gnss_white"]

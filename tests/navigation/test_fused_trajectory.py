@@ -7,23 +7,15 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.stats import chi2
 
 from thalweg.core import CoverageError, InputError, LocalFrame, Rigid, Trajectory, exp_rotation
-from thalweg.images.model import ImagePoses
-from thalweg.navigation.fusion import Fused, FusionSettings, count_table, fuse_trajectory
+from thalweg.navigation.fusion import FusionSettings, count_table, fuse_trajectory
 from thalweg.navigation.fusion.model import GROUPS
 from thalweg.navigation.fusion.trajectory import group_facts
 from thalweg.settings.sections import Fused as FusedSection
-from thalweg_lab.studies.outage import (
-    FRAME,
-    LEVER_ANTENNA_M,
-    Recorded,
-    VoyageSpec,
-    errors_at,
-    fuse,
-    make_survey,
-)
+from thalweg_lab.studies.outage import FRAME, LEVER_ANTENNA_M, VoyageSpec, errors_at, fuse, make_survey
 
 SETTINGS = FusionSettings()
 MOTORS = {"ins": {"motor_field_mg": ((5.0, 12.0, 2.0), (-5.0, 12.0, 2.0)), "hard_iron_mg": (6.0, 4.0, 0.0)}}
@@ -39,21 +31,40 @@ TREES = {
 
 
 @cache
-def survey(seed: int = 1, duration_s: float = 40.0) -> Recorded:
+def survey(seed=1, duration_s=40.0):
     return make_survey(seed, VoyageSpec(duration_s=duration_s))
 
 
 @cache
-def whole(seed: int = 1) -> Fused:
+def whole(seed=1):
     return fuse(survey(seed), SETTINGS)
 
 
-def moments(recorded: Recorded) -> np.ndarray:
+def fused(recorded=None, *, settings=SETTINGS, **changed):
+    """The trajectory of a survey whose positions, images or states are changed."""
+    streams = {key: changed.pop(key) for key in ("positions", "images", "states") if key in changed}
+    return fuse(replace(recorded or survey(), **streams), settings, **changed)
+
+
+def dropped(found, kind):
+    return found.facts["observations"][kind]["dropped"]
+
+
+def fixed(**more):
+    """Sizes of errors as they are stated."""
+    return SETTINGS.replace(estimate_errors=False, **more)
+
+
+def only(inputs):
+    return {"with_positions": inputs != "images", "with_images": inputs != "positions"}
+
+
+def moments(recorded):
     """Times in the survey, off the nodes too."""
     return recorded.motion.start_gps_s + np.arange(1.0, recorded.motion.config.duration_s - 2.0, 0.37)
 
 
-def rms(found: Fused, recorded: Recorded, at: np.ndarray | None = None) -> tuple[float, float]:
+def rms(found, recorded, at=None):
     """RMS of the position's error in m, and of the attitude's in rad."""
     e, _ = errors_at(found, recorded.motion, moments(recorded) if at is None else at)
     return float(np.sqrt(np.mean(np.sum(e[:, :3] ** 2, axis=1)))), float(np.sqrt(np.mean(e[:, 3:] ** 2)))
@@ -69,7 +80,7 @@ def test_normalised_errors_lie_in_their_band_over_ten_seeds(inputs):
     squares = []
     for seed in range(1, 11):
         recorded = make_survey(seed, VoyageSpec(duration_s=12.0))
-        found = fuse(recorded, settings, with_positions=inputs != "images", with_images=inputs != "positions")
+        found = fuse(recorded, settings, **only(inputs))
         # between two nodes, 5 s behind the begin
         e, C = errors_at(found, recorded.motion, np.array([recorded.motion.start_gps_s + 5.13]))
         squares.append(e[0] @ np.linalg.solve(C[0], e[0]))
@@ -117,7 +128,7 @@ def test_chains_of_errors_are_the_covariance_of_the_poses(estimated):
     expected = found.trajectory.cov_at(t)
     sigma = np.sqrt(np.diagonal(expected, axis1=1, axis2=2))
     scale = sigma[:, :, None] * sigma[:, None, :]
-    np.testing.assert_allclose(total / scale, expected / scale, rtol=0, atol=0.03)
+    assert_allclose(total / scale, expected / scale, rtol=0, atol=0.03)
 
 
 # ---------------------------------------------------------------- better than each chain alone
@@ -146,8 +157,7 @@ def test_it_is_never_worse_than_the_better_chain(n, spec):
     for seed in range(61, 61 + n):
         recorded = make_survey(seed, VoyageSpec(duration_s=30.0, **spec))
         for name in totals:
-            found = fuse(recorded, SETTINGS, with_positions=name != "images", with_images=name != "positions")
-            totals[name].append(rms(found, recorded))
+            totals[name].append(rms(fuse(recorded, SETTINGS, **only(name)), recorded))
     ins, camera, both = (np.sqrt(np.mean(np.square(totals[n]), axis=0)) for n in totals)
     most = 1.12 if spec is TREES else 1.05
     assert np.all(both <= most * np.minimum(ins, camera)), (ins, camera, both)
@@ -213,16 +223,10 @@ def test_what_is_taken_for_known_of_the_start_is_next_to_nothing(monkeypatch):
     poses = []
     for sigma_m in (300.0, 3000.0):
         monkeypatch.setattr("thalweg.navigation.fusion.model.START_SIGMA_M", sigma_m)
-        fixed = SETTINGS.replace(estimate_errors=False)
-        poses.append(fuse(replace(recorded, images=late), fixed, with_positions=False).poses(at))
+        poses.append(fused(images=late, settings=fixed(), with_positions=False).poses(at))
     # a sigma of 0.4 m at the begin: a start of 300 m holds it by 0.4^2 / 300^2 = 2e-6
-    np.testing.assert_allclose(poses[0][0], poses[1][0], atol=2e-5)
-    np.testing.assert_allclose(poses[0][2], poses[1][2], rtol=2e-5, atol=1e-9)
-
-
-def test_a_smoother_knows_the_begin_as_well_as_the_end():
-    sigma = whole().trajectory.sigma_position_m.max(axis=1)
-    assert sigma[100] < 1.5 * sigma[-100]
+    assert_allclose(poses[0][0], poses[1][0], atol=2e-5)
+    assert_allclose(poses[0][2], poses[1][2], rtol=2e-5, atol=1e-9)
 
 
 # ---------------------------------------------------------------- wrong observations
@@ -235,14 +239,14 @@ def test_jumps_by_multipath_do_no_harm(jump_m, with_images):
     since = positions["t_gps_s"] - recorded.motion.start_gps_s
     jumped = (since > 18) & (since < 23)
     positions.loc[jumped, "lat_deg"] += jump_m / 111e3
-    found = fuse(replace(recorded, positions=positions), SETTINGS, with_images=with_images)
+    found = fused(recorded, positions=positions, with_images=with_images)
     without = fuse(recorded, SETTINGS, keep_positions=~jumped.to_numpy(), with_images=with_images)
     used = found.observations.query("kind == 'position'")["used"].to_numpy()
     assert not used[jumped].any()
     assert used[~jumped].all()
     # as if they had never been there: 1 mm of variance components that settle elsewhere
     at = moments(recorded)
-    np.testing.assert_allclose(found.poses(at)[0], without.poses(at)[0], atol=1e-3)
+    assert_allclose(found.poses(at)[0], without.poses(at)[0], atol=1e-3)
     assert found.facts["observations"]["position"]["rejected"] == int(jumped.sum())
 
 
@@ -255,7 +259,7 @@ def test_single_wrong_positions_and_images_are_rejected_and_counted():
     centre[[8, 20, 21]] += [0.3, 0.0, 0.0]
     R[30] = exp_rotation([0.0, 0.0, 0.05]) @ R[30]
     bad = replace(images, centre_wcs_m=centre, R_wcs_ccs=R)
-    found = fuse(replace(recorded, positions=positions, images=bad), SETTINGS)
+    found = fused(recorded, positions=positions, images=bad)
     left_out = found.observations[~found.observations["used"]]
     assert set(left_out["name"]) - {""} == {f"{k:05d}.jpg" for k in (8, 20, 21, 30)}
     assert (left_out["kind"] == "position").sum() == len(positions.index[50::70])
@@ -267,16 +271,14 @@ def test_single_wrong_positions_and_images_are_rejected_and_counted():
 
 
 def test_sigmas_stated_too_small_are_found():
-    recorded = survey()
-    positions = recorded.positions.copy()
+    positions = survey().positions.copy()
     positions[["sigma_east_m", "sigma_north_m", "sigma_up_m"]] /= 3
-    found = fuse(replace(recorded, positions=positions), SETTINGS)
-    assert found.facts["groups"]["gnss_white"]["sigma_factor"] == pytest.approx(3.0, rel=0.15)
+    facts = fused(positions=positions).facts
+    assert facts["groups"]["gnss_white"]["sigma_factor"] == pytest.approx(3.0, rel=0.15)
     # the slow part holds fewer independent values, and what is stated weighs as ten
-    assert 1.6 < found.facts["groups"]["gnss"]["sigma_factor"] < 3.5
-    assert found.facts["observations"]["position"]["rejected"] == 0
-    trusted = fuse(replace(recorded, positions=positions), SETTINGS.replace(estimate_errors=False))
-    assert not trusted.facts["groups"]["gnss_white"]["inside"]
+    assert 1.6 < facts["groups"]["gnss"]["sigma_factor"] < 3.5
+    assert facts["observations"]["position"]["rejected"] == 0
+    assert not fused(positions=positions, settings=fixed()).facts["groups"]["gnss_white"]["inside"]
 
 
 # ---------------------------------------------------------------- missing and bad input
@@ -288,54 +290,38 @@ def test_without_positions_and_images_it_says_what_is_missing():
 
 
 def test_inputs_that_cannot_enter_are_counted_in_the_refusal():
-    recorded = survey()
-    untimed = recorded.images.with_times(
-        np.full(len(recorded.images.images), np.nan), recorded.images.sigma_t_s
-    )
-    single = recorded.positions.assign(fix="single")
+    images = survey().images
+    untimed = images.with_times(np.full(len(images.images), np.nan), images.sigma_t_s)
     with pytest.raises(InputError, match=r"441 antenna positions \(441 kind of solution\); 39 .*39 no time"):
-        fuse(replace(recorded, positions=single, images=untimed), SETTINGS)
+        fused(positions=survey().positions.assign(fix="single"), images=untimed)
 
 
 def test_streams_of_different_days_are_refused():
-    recorded = survey()
-    later = recorded.positions.assign(t_gps_s=recorded.positions["t_gps_s"] + 86400.0)
+    positions = survey().positions
     with pytest.raises(InputError, match="outside the INS"):
-        fuse(replace(recorded, positions=later), SETTINGS, with_images=False)
+        fused(positions=positions.assign(t_gps_s=positions["t_gps_s"] + 86400.0), with_images=False)
+
+
+def fused_without_a_mount(recorded, **more):
+    how = {"sigma_attitude_rad": np.deg2rad([0.1, 0.1, 0.2]), "max_attitude_gap_s": 0.1}
+    return fuse_trajectory(recorded.states, FRAME, SETTINGS, images=recorded.images, **how, **more)
 
 
 def test_images_of_another_frame_or_without_a_mount_are_refused():
-    recorded = survey()
-    away = replace(recorded.images, frame=LocalFrame(lat_deg=51.06, lon_deg=13.25, h_ell_m=300.0))
+    away = replace(survey().images, frame=LocalFrame(lat_deg=51.06, lon_deg=13.25, h_ell_m=300.0))
     with pytest.raises(InputError, match="world frame"):
-        fuse(replace(recorded, images=away), SETTINGS)
+        fused(images=away)
     with pytest.raises(InputError, match="mount of the camera"):
-        fuse_trajectory(
-            recorded.states,
-            FRAME,
-            SETTINGS,
-            images=recorded.images,
-            sigma_attitude_rad=np.deg2rad([0.1, 0.1, 0.2]),
-            max_attitude_gap_s=0.1,
-        )
+        fused_without_a_mount(survey())
 
 
 def test_positions_that_the_image_block_holds_are_not_counted_twice():
     recorded = survey()
     t = recorded.positions["t_gps_s"].to_numpy()
     first, last = recorded.images.t_gps_s.min(), recorded.images.t_gps_s.max()
-    again = fuse_trajectory(
-        recorded.states,
-        FRAME,
-        SETTINGS,
-        positions=recorded.positions,
-        lever_ics_antenna_m=LEVER_ANTENNA_M,
-        images=recorded.images,
-        T_ccs_ics=recorded.T_ccs_ics,
-        images_hold_positions=True,
-        sigma_attitude_rad=np.deg2rad([0.1, 0.1, 0.2]),
-        max_attitude_gap_s=0.1,
-    )
+    antenna = {"positions": recorded.positions, "lever_ics_antenna_m": LEVER_ANTENNA_M}
+    camera = {"T_ccs_ics": recorded.T_ccs_ics, "images_hold_positions": True}
+    again = fused_without_a_mount(recorded, **antenna, **camera)
     within = int(((t >= first) & (t <= last)).sum())
     found = again.facts["observations"]["position"]
     assert found["dropped"]["part of the image poses"] == within > 300
@@ -353,9 +339,9 @@ def test_a_trajectory_that_is_good_enough_nowhere_is_refused():
 def test_holes_of_the_ins_are_not_bridged_and_their_observations_counted():
     recorded = survey()
     t = recorded.states["t_gps_s"] - recorded.motion.start_gps_s
-    found = fuse(replace(recorded, states=recorded.states[(t < 15) | (t > 17)]), SETTINGS)
-    assert found.facts["observations"]["position"]["dropped"] == {"outside the INS or in a hole of it": 21}
-    assert found.facts["observations"]["image"]["dropped"] == {"outside the INS or in a hole of it": 2}
+    found = fused(states=recorded.states[(t < 15) | (t > 17)])
+    assert dropped(found, "position") == {"outside the INS or in a hole of it": 21}
+    assert dropped(found, "image") == {"outside the INS or in a hole of it": 2}
     _, _, inside = found.trajectory.at(recorded.motion.start_gps_s + np.array([14.9, 15.5, 16.5, 17.1]))
     assert inside.tolist() == [True, False, False, True]
     # beside the hole it is as good as elsewhere
@@ -363,47 +349,21 @@ def test_holes_of_the_ins_are_not_bridged_and_their_observations_counted():
 
 
 def test_images_out_of_order_alone_or_without_a_pose_are_no_trouble():
-    recorded = survey()
-    images = recorded.images
+    images = survey().images
     back = np.arange(len(images.images))[::-1]
-    turned = ImagePoses(
-        frame=FRAME,
-        images=tuple(images.images[k] for k in back),
-        t_gps_s=images.t_gps_s[back],
+    names = ("t_gps_s", "centre_wcs_m", "R_wcs_ccs", "cov_pose_wcs", "cov_next")
+    turned = replace(
+        images,
+        images=images.images[::-1],
         sigma_t_s=np.full(len(back), np.nan),
         oriented=back % 3 != 0,
-        reasons=images.reasons,
-        centre_wcs_m=images.centre_wcs_m[back],
-        R_wcs_ccs=images.R_wcs_ccs[back],
-        cov_pose_wcs=images.cov_pose_wcs[back],
-        cov_next=images.cov_next[back],
-        n_marks=images.n_marks,
-        rms_px=images.rms_px,
+        **{name: getattr(images, name)[back] for name in names},
     )
-    found = fuse(replace(recorded, images=turned), SETTINGS)
-    assert found.facts["observations"]["image"]["dropped"] == {"not oriented": 13}
-    assert rms(found, recorded)[0] < 0.03
+    found = fused(images=turned)
+    assert dropped(found, "image") == {"not oriented": 13}
+    assert rms(found, survey())[0] < 0.03
     alone = replace(images, oriented=np.arange(len(back)) == 20)
-    assert rms(fuse(replace(recorded, images=alone), SETTINGS), recorded)[0] < 0.05
-
-
-def test_correlated_images_are_not_averaged_away():
-    """Images that all err alike give the sigma of one of them; independent ones of less than half."""
-    # a good INS joins the images, so that the sigma shows how they are averaged
-    recorded = make_survey(1, VoyageSpec(duration_s=40.0, twin={"ins": {"sigma_velocity_mps": 0.002}}))
-    C = recorded.images.cov_pose_wcs
-    alike, independent = (
-        fuse(
-            replace(recorded, images=replace(recorded.images, cov_next=share * C)),
-            SETTINGS.replace(estimate_errors=False, sigma_velocity_mps=0.002),
-            with_positions=False,
-        ).trajectory
-        for share in (0.998, 0.0)
-    )
-    middle = len(alike.t_gps_s) // 2
-    # the height: along the way the clock adds its own
-    assert alike.sigma_position_m[middle, 2] > 0.0095
-    assert independent.sigma_position_m[middle, 2] < 0.005
+    assert rms(fused(images=alone), survey())[0] < 0.05
 
 
 # ---------------------------------------------------------------- form
@@ -415,7 +375,7 @@ def test_the_same_input_gives_the_same_bytes(tmp_path):
     again.trajectory.write(tmp_path / "b.parquet")
     assert (tmp_path / "a.parquet").read_bytes() == (tmp_path / "b.parquet").read_bytes()
     back = Trajectory.read(tmp_path / "a.parquet")
-    np.testing.assert_array_equal(back.valid, whole().trajectory.valid)
+    assert_array_equal(back.valid, whole().trajectory.valid)
 
 
 def test_facts_can_be_written_and_counts_are_a_table():
@@ -430,8 +390,8 @@ def test_poses_between_agree_with_the_trajectory_at_its_nodes():
     found = whole()
     t = found.trajectory.t_gps_s
     position, _, cov = found.poses(t[500:520])
-    np.testing.assert_array_equal(position, found.trajectory.position_wcs_m[500:520])
-    np.testing.assert_allclose(cov, found.trajectory.cov_pose_wcs[500:520], rtol=0, atol=0)
+    assert_array_equal(position, found.trajectory.position_wcs_m[500:520])
+    assert_allclose(cov, found.trajectory.cov_pose_wcs[500:520], rtol=0, atol=0)
     assert np.all(np.linalg.eigvalsh(cov) > 0)
 
 
@@ -452,3 +412,27 @@ def test_the_band_of_a_group_is_that_of_the_table():
         "inside": False,
         "sigma_factor": 1.5,
     }
+
+
+def test_a_smoother_knows_the_begin_as_well_as_the_end():
+    sigma = whole().trajectory.sigma_position_m.max(axis=1)
+    assert sigma[100] < 1.5 * sigma[-100]
+
+
+def test_correlated_images_are_not_averaged_away():
+    """Images that all err alike give the sigma of one of them; independent ones of less than half."""
+    # a good INS joins the images, so that the sigma shows how they are averaged
+    recorded = make_survey(1, VoyageSpec(duration_s=40.0, twin={"ins": {"sigma_velocity_mps": 0.002}}))
+    C = recorded.images.cov_pose_wcs
+    alike, independent = (
+        fuse(
+            replace(recorded, images=replace(recorded.images, cov_next=share * C)),
+            SETTINGS.replace(estimate_errors=False, sigma_velocity_mps=0.002),
+            with_positions=False,
+        ).trajectory
+        for share in (0.998, 0.0)
+    )
+    middle = len(alike.t_gps_s) // 2
+    # the height: along the way the clock adds its own
+    assert alike.sigma_position_m[middle, 2] > 0.0095
+    assert independent.sigma_position_m[middle, 2] < 0.005

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.bands import band
-from thalweg.navigation.fusion import Fused, FusionSettings
+from thalweg.navigation.fusion import FusionSettings
 from thalweg.navigation.fusion.model import MODEL
 from thalweg_lab.random_numbers import generator
 from thalweg_lab.studies import outage
@@ -14,7 +14,7 @@ SLOW = {"ins": {"rate_hz": 10.0}, "gnss": {"rate_hz": 1.0}}
 """Rates that keep many surveys short."""
 
 
-def with_gap(seed: int, length_s: float) -> tuple[Fused, outage.Recorded, tuple[float, float]]:
+def with_gap(seed, length_s):
     """A survey with one outage; boats of other seeds turn otherwise, and the outage begins elsewhere."""
     turns = float(generator(seed, "test turns").uniform(35.0, 60.0))
     twin = SLOW | {"boat": {"zigzag_deg": turns}}

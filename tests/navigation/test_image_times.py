@@ -13,17 +13,8 @@ from thalweg.clocks.synchronise import run_attitude
 from thalweg.core import ClockError, write_table
 from thalweg.images.model import ImagePoses
 from thalweg.navigation.camera import CloudSettings, antenna_in_camera, camera_trajectory, time_images
-from thalweg.navigation.camera.image_times import TimedImages
 from thalweg.settings.sections import CameraCloud
-from thalweg_lab.studies.outage import (
-    CAMERA,
-    FRAME,
-    LEVER_ANTENNA_M,
-    Recorded,
-    VoyageSpec,
-    make_survey,
-    pose_errors,
-)
+from thalweg_lab.studies.outage import CAMERA, FRAME, LEVER_ANTENNA_M, VoyageSpec, make_survey, pose_errors
 
 JITTER_S = 0.02
 LEVER_M, COV_LEVER_M2 = antenna_in_camera(
@@ -34,18 +25,18 @@ ATTITUDE = {"use_attitude": True, "attitude_time_s": 20.0, "high_pass_s": 60.0}
 
 
 @cache
-def survey(seed: int = 1, duration_s: float = 25.0) -> Recorded:
+def survey(seed=1, duration_s=25.0):
     spec = VoyageSpec(
         duration_s=duration_s, sigma_clock_s=0.2, jitter_s=JITTER_S, sigma_mount_m=0.0, sigma_mount_deg=0.0
     )
     return make_survey(seed, spec)
 
 
-def stamps_of(recorded: Recorded) -> pd.DataFrame:
+def stamps_of(recorded):
     return pd.DataFrame({"file": recorded.images.images, "t_device_s": recorded.images.t_gps_s})
 
 
-def clock_of(recorded: Recorded, *, off_s: float = 0.0, sigma_s: float = 0.002) -> ClockModel:
+def clock_of(recorded, *, off_s=0.0, sigma_s=0.002):
     """Clock of a calibration an hour before the survey."""
     return ClockModel(
         offset_s=recorded.clock_s + off_s,
@@ -56,7 +47,7 @@ def clock_of(recorded: Recorded, *, off_s: float = 0.0, sigma_s: float = 0.002) 
     )
 
 
-def timed(recorded: Recorded, *, with_ins: bool = True, **more: object) -> TimedImages:
+def timed(recorded, *, with_ins=True, **more):
     given = {"clock": None, "options": KNOWN, "poses": recorded.images, "stamps": stamps_of(recorded)} | more
     track = Track.from_table(recorded.positions, FRAME, correlation_time_s=10.0, white_share=0.25)
     ins = run_attitude(recorded.states, FRAME, ATTITUDE) if with_ins else None
@@ -74,7 +65,7 @@ def test_a_finished_trajectory_states_no_fix():
     assert len(Track.from_table(half, FRAME, **how).t_gps_s) == (len(fixed.t_gps_s) + 1) // 2
 
 
-def exposures(recorded: Recorded) -> np.ndarray:
+def exposures(recorded):
     """True times of the images: where the motion has the camera's place."""
     t = recorded.images.t_gps_s + recorded.clock_s
     centre = recorded.images.centre_wcs_m
@@ -194,7 +185,7 @@ def test_long_surveys_are_estimated_in_parts():
 
 def test_images_without_stamp_or_pose_are_counted(tmp_path):
     recorded = survey()
-    poses: ImagePoses = replace(
+    poses = replace(
         recorded.images,
         oriented=np.arange(24) != 3,
         reasons=tuple("lost" if k == 3 else "" for k in range(24)),

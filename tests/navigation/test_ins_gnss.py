@@ -3,16 +3,9 @@
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.testing import assert_allclose
 
-from thalweg.core import (
-    CoverageError,
-    InputError,
-    LocalFrame,
-    Trajectory,
-    roll_pitch_heading,
-    rotation_enu_body,
-)
-from thalweg.core.trajectory import TRAJECTORY
+from thalweg.core import CoverageError, InputError, LocalFrame, roll_pitch_heading, rotation_enu_body
 from thalweg.navigation.ins_gnss import build_trajectory, trajectory_from_states
 from thalweg.navigation.ins_gnss.trajectory import (
     TrajectorySummary,
@@ -26,65 +19,37 @@ LEVER = np.array([0.30, -0.20, -0.80])  # forward, right, down: the antenna is a
 T0 = 4.0e8
 
 
-def motion(t: np.ndarray, far_m: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+def motion(t, far_m=0.0):
     """Position of the ics origin and R_wcs_ics of a boat that turns and rolls."""
     s = t - T0
     position = np.column_stack([far_m + 0.4 * s, 2 * np.sin(0.3 * s), 0.02 * np.sin(2 * s)])
     return position, rotation_enu_body(0.05 * np.sin(1.9 * s), 0.03 * np.sin(1.4 * s), 1.0 + 0.12 * s)
 
 
-def survey(far_m: float = 0.0, duration_s: float = 20.0) -> tuple[pd.DataFrame, pd.DataFrame]:
+def survey(far_m=0.0, duration_s=20.0):
     t_ins = T0 + np.arange(0, duration_s, 0.02)
     position, R = motion(t_ins, far_m)
     lat, lon, h = FRAME.to_geodetic(position)
-    R_local = np.swapaxes(FRAME.R_wcs_enu(lat, lon), 1, 2) @ R  # an INS states its own local level
-    roll, pitch, heading = roll_pitch_heading(R_local)
+    R_wcs_enu = FRAME.R_wcs_enu(lat, lon)
+    roll, pitch, heading = roll_pitch_heading(np.swapaxes(R_wcs_enu, 1, 2) @ R)  # of its own local level
     step = 1e-3  # differences over 2 ms: motion of 2 rad/s changes its rate by 1e-6 of itself
     wcs_mps = (motion(t_ins + step, far_m)[0] - motion(t_ins - step, far_m)[0]) / (2 * step)
-    v_east, v_north, v_up = np.einsum("nji,nj->in", FRAME.R_wcs_enu(lat, lon), wcs_mps)
-    states = pd.DataFrame(
-        {
-            "t_gps_s": t_ins,
-            "roll_rad": roll,
-            "pitch_rad": pitch,
-            "heading_rad": heading,
-            "lat_deg": lat,
-            "lon_deg": lon,
-            "h_ell_m": h,
-            "sigma_roll_rad": np.nan,
-            "sigma_pitch_rad": np.nan,
-            "sigma_heading_rad": np.nan,
-            "filter_status": np.uint16(0b1111),
-            "v_north_mps": v_north,
-            "v_east_mps": v_east,
-            "v_down_mps": -v_up,
-            "sigma_north_m": 0.6,
-            "sigma_east_m": 0.5,
-            "sigma_up_m": 1.0,
-        }
-    )
+    v_east, v_north, v_up = np.einsum("nji,nj->in", R_wcs_enu, wcs_mps)
+    states = {"t_gps_s": t_ins, "roll_rad": roll, "pitch_rad": pitch, "heading_rad": heading}
+    states |= {"lat_deg": lat, "lon_deg": lon, "h_ell_m": h, "filter_status": np.uint16(0b1111)}
+    states |= {"v_north_mps": v_north, "v_east_mps": v_east, "v_down_mps": -v_up}
+    states |= {"sigma_north_m": 0.6, "sigma_east_m": 0.5, "sigma_up_m": 1.0}
+    states |= dict.fromkeys(("sigma_roll_rad", "sigma_pitch_rad", "sigma_heading_rad"), np.nan)
     t_gnss = T0 + np.arange(0, duration_s, 0.1)
     position, R = motion(t_gnss, far_m)
     lat, lon, h = FRAME.to_geodetic(position + R @ LEVER)
-    positions = pd.DataFrame(
-        {
-            "t_gps_s": t_gnss,
-            "lat_deg": lat,
-            "lon_deg": lon,
-            "h_ell_m": h,
-            "fix": "fixed",
-            "sigma_east_m": 0.02,
-            "sigma_north_m": 0.02,
-            "sigma_up_m": 0.03,
-            "cov_en_m2": 1e-4,
-            "cov_eu_m2": np.nan,
-            "cov_nu_m2": np.nan,
-        }
-    )
-    return positions, states
+    positions = {"t_gps_s": t_gnss, "lat_deg": lat, "lon_deg": lon, "h_ell_m": h, "fix": "fixed"}
+    positions |= {"sigma_east_m": 0.02, "sigma_north_m": 0.02, "sigma_up_m": 0.03}
+    positions |= {"cov_en_m2": 1e-4, "cov_eu_m2": np.nan, "cov_nu_m2": np.nan}
+    return pd.DataFrame(positions), pd.DataFrame(states)
 
 
-def build(positions: pd.DataFrame, states: pd.DataFrame, **changes):
+def build(positions, states, **changes):
     options = {
         "lever_ics_antenna_m": LEVER,
         "sigma_lever_m": np.array([0.01, 0.02, 0.03]),
@@ -96,6 +61,16 @@ def build(positions: pd.DataFrame, states: pd.DataFrame, **changes):
     return build_trajectory(positions, states, FRAME, **(options | changes))
 
 
+def by_states(states, sigma_attitude_rad=(3e-3, 4e-3, 5e-3), **more):
+    how = {"max_attitude_gap_s": 0.2, "sigma_attitude_rad": sigma_attitude_rad}
+    return trajectory_from_states(states, FRAME, **how, **more)
+
+
+def covered(trajectory, *after_s):
+    """Whether there are poses so many seconds after the begin."""
+    return trajectory.at(T0 + np.array(after_s))[2].tolist()
+
+
 @pytest.mark.parametrize("far_m", [0.0, 1500.0])
 def test_the_motion_comes_back(far_m):
     """1500 m from the origin the local vertical of the INS is tilted by 0.013 deg: must be taken off."""
@@ -104,36 +79,35 @@ def test_the_motion_comes_back(far_m):
     use = trajectory.valid
     position, R = motion(trajectory.t_gps_s[use], far_m)
     # cubic spline of a sine of 0.3 rad at 0.1 s steps (antenna swings with roll): below 0.1 mm
-    np.testing.assert_allclose(trajectory.position_wcs_m[use], position, atol=1e-4)
+    assert_allclose(trajectory.position_wcs_m[use], position, atol=1e-4)
     R_found = trajectory.at(trajectory.t_gps_s[use][:-1])[1]
     # 1e-6 rad: the antenna's level is taken instead of the INS's, 0.9 m / 6371 km = 1.4e-7 rad
-    np.testing.assert_allclose(R_found, R[:-1], atol=1e-6)
+    assert_allclose(R_found, R[:-1], atol=1e-6)
     assert summary.n_positions_used == len(positions)
     assert use.mean() > 0.99
 
 
 def test_covariance_holds_position_and_lever_arm():
+    """Six different numbers of the antenna; node 100 is an epoch: nothing is added for the interpolation."""
     positions, states = survey()
+    positions[["sigma_east_m", "sigma_north_m", "sigma_up_m"]] = [0.02, 0.03, 0.04]
+    positions[["cov_en_m2", "cov_eu_m2", "cov_nu_m2"]] = [1e-4, 2e-4, -3e-4]
     trajectory, _ = build(positions, states)
-    cov = trajectory.cov_pose_wcs[100, :3, :3]
     R = motion(trajectory.t_gps_s[[100]])[1][0]
     # an error of the attitude turns the boat about its antenna: the ics origin moves by the lever arm
     arm = np.cross(np.eye(3), R @ LEVER)
     turned = arm.T @ trajectory.cov_pose_wcs[100, 3:, 3:] @ arm
-    expected = (
-        np.array([[4e-4, 1e-4, 0], [1e-4, 4e-4, 0], [0, 0, 9e-4]])
-        + R @ np.diag([1e-4, 4e-4, 9e-4]) @ R.T
-        + turned
-    )
-    np.testing.assert_allclose(cov, expected, rtol=1e-4, atol=1e-9)
-    np.testing.assert_allclose(trajectory.sigma_roll_pitch_heading_rad()[100], np.deg2rad([0.1, 0.1, 0.2]))
+    antenna = np.array([[4e-4, 1e-4, 2e-4], [1e-4, 9e-4, -3e-4], [2e-4, -3e-4, 16e-4]])
+    lever = R @ np.diag([1e-4, 4e-4, 9e-4]) @ R.T
+    cov = trajectory.cov_pose_wcs[100, :3, :3]
+    assert_allclose(cov, antenna + lever + turned, rtol=1e-4, atol=1e-9)
+    assert_allclose(trajectory.sigma_roll_pitch_heading_rad()[100], np.deg2rad([0.1, 0.1, 0.2]))
 
 
 def test_sigmas_of_the_log_win_over_the_configured_ones():
     positions, states = survey()
-    states["sigma_heading_rad"] = 0.01
-    trajectory, _ = build(positions, states)
-    np.testing.assert_allclose(trajectory.sigma_roll_pitch_heading_rad()[:, 2], 0.01)
+    trajectory, _ = build(positions, states.assign(sigma_heading_rad=0.01))
+    assert_allclose(trajectory.sigma_roll_pitch_heading_rad()[:, 2], 0.01)
 
 
 def test_a_hole_in_the_positions_is_not_bridged():
@@ -151,8 +125,7 @@ def test_a_hole_in_the_attitudes_is_not_bridged():
     positions, states = survey()
     s = states["t_gps_s"] - T0
     trajectory, summary = build(positions, states[(s < 5) | (s > 7)])
-    _, _, inside = trajectory.at(T0 + np.array([4.5, 5.5, 6.0, 6.9, 7.5]))
-    assert inside.tolist() == [True, False, False, False, True]
+    assert covered(trajectory, 4.5, 5.5, 6.0, 6.9, 7.5) == [True, False, False, False, True]
     assert summary.gaps[-1][1] == pytest.approx(2.04, abs=1e-6)
 
 
@@ -162,9 +135,8 @@ def test_a_float_solution_enters_only_if_accepted():
     strict, summary = build(positions, states)
     assert summary.fixes == {"fixed": 170, "float": 30}
     assert summary.n_positions_used == 170
-    assert not strict.at(np.array([T0 + 6.5]))[2][0]
     loose, _ = build(positions, states, accept_fixes=["fixed", "float"])
-    assert loose.at(np.array([T0 + 6.5]))[2][0]
+    assert covered(strict, 6.5) + covered(loose, 6.5) == [False, True]
 
 
 @pytest.mark.parametrize(
@@ -181,7 +153,7 @@ def test_auto_takes_float_positions_in_holes_of_fixed_ones(floats, used):
     positions.loc[positions.index[slice(*floats)], "fix"] = "float"
     trajectory, summary = build(positions, states, accept_fixes="auto")
     assert summary.n_positions_used == used
-    assert trajectory.at(np.array([T0 + 5.15]))[2][0]
+    assert covered(trajectory, 5.15) == [True]
     positions.loc[positions.index[190:195], "fix"] = "single"
     assert build(positions, states, accept_fixes="auto")[1].n_positions_used < used
 
@@ -200,26 +172,11 @@ def test_bad_input_is_told_with_numbers():
 
 def test_an_ins_alone_gives_a_trajectory():
     _, states = survey(1500.0)
-    trajectory, _ = trajectory_from_states(
-        states, FRAME, max_attitude_gap_s=0.2, sigma_attitude_rad=np.deg2rad([0.1, 0.1, 0.2])
-    )
+    trajectory, _ = by_states(states)
     position, R = motion(trajectory.t_gps_s, 1500.0)
-    np.testing.assert_allclose(trajectory.position_wcs_m, position, atol=1e-6)
-    np.testing.assert_allclose(trajectory.at(trajectory.t_gps_s[:-1])[1], R[:-1], atol=1e-9)
-    np.testing.assert_allclose(np.diag(trajectory.cov_pose_wcs[0])[:3], [0.25, 0.36, 1.0])
-
-
-def test_a_trajectory_survives_the_file(tmp_path):
-    positions, states = survey()
-    trajectory, _ = build(positions, states)
-    path = tmp_path / "trajectory.parquet"
-    trajectory.write(path)
-    again = Trajectory.read(path)
-    assert again.frame == FRAME
-    for name in ("t_gps_s", "position_wcs_m", "quaternion_wcs_ics", "valid"):
-        np.testing.assert_array_equal(getattr(again, name), getattr(trajectory, name))
-    np.testing.assert_allclose(again.cov_pose_wcs, trajectory.cov_pose_wcs, rtol=1e-12, atol=1e-18)
-    assert TRAJECTORY.field("sigma_up_m").metadata[b"unit"] == b"m"
+    assert_allclose(trajectory.position_wcs_m, position, atol=1e-6)
+    assert_allclose(trajectory.at(trajectory.t_gps_s[:-1])[1], R[:-1], atol=1e-9)
+    assert_allclose(np.diag(trajectory.cov_pose_wcs[0])[:3], [0.25, 0.36, 1.0])
 
 
 def test_states_from_before_the_filter_was_ready_are_left_out():
@@ -251,17 +208,16 @@ def test_an_ins_slower_than_the_limit_is_told_the_key():
 
 def test_states_without_position_or_sigma():
     _, states = survey()
-    options = {"max_attitude_gap_s": 0.2, "sigma_attitude_rad": np.deg2rad([0.1, 0.1, 0.2])}
     holey = states.copy()
     holey.loc[holey.index[100:110], "lat_deg"] = np.nan
-    trajectory, summary = trajectory_from_states(holey, FRAME, **options)
+    trajectory, summary = by_states(holey)
     assert any("10 INS states without a position" in note for note in summary.notes)
     assert np.isfinite(trajectory.position_wcs_m).all()
     bare = states.assign(sigma_north_m=np.nan)
     with pytest.raises(InputError, match=r"none of them with sigmas.*logs\.smrmsg, or ins\.sigma_position_m"):
-        trajectory_from_states(bare, FRAME, **options)
-    given, _ = trajectory_from_states(bare, FRAME, sigma_position_m=[0.05, 0.06, 0.1], **options)
-    np.testing.assert_allclose(np.diag(given.cov_pose_wcs[0])[:3], [0.25, 0.0036, 1.0])
+        by_states(bare)
+    given, _ = by_states(bare, sigma_position_m=[0.05, 0.06, 0.1])
+    assert_allclose(np.diag(given.cov_pose_wcs[0])[:3], [0.25, 0.0036, 1.0])
 
 
 @pytest.mark.parametrize(
@@ -285,7 +241,7 @@ def test_a_damaged_position_is_left_out():
     trajectory, summary = build(positions, states)
     assert any("1 positions far from the INS's own were left out" in note for note in summary.notes)
     position, _ = motion(trajectory.t_gps_s[trajectory.valid])
-    np.testing.assert_allclose(trajectory.position_wcs_m[trajectory.valid], position, atol=1e-3)
+    assert_allclose(trajectory.position_wcs_m[trajectory.valid], position, atol=1e-3)
 
 
 def test_an_origin_on_another_river_is_refused():
@@ -308,20 +264,6 @@ def test_velocities_of_the_ins_keep_what_sparse_epochs_miss():
     assert errors["ins_velocity"] < 0.2 * errors["cubic"], errors
 
 
-def test_each_covariance_of_a_position_finds_its_place():
-    """Six different numbers by hand; lever arm and attitude without error leave nothing else."""
-    positions, states = survey()
-    positions[["sigma_east_m", "sigma_north_m", "sigma_up_m"]] = [0.02, 0.03, 0.04]
-    positions[["cov_en_m2", "cov_eu_m2", "cov_nu_m2"]] = [1e-4, 2e-4, -3e-4]
-    trajectory, _ = build(positions, states, sigma_lever_m=np.zeros(3), sigma_attitude_rad=np.full(3, 1e-9))
-    # node 100 is an epoch: nothing is added for the interpolation. 1e-9 rad at a lever of 1 m: 1e-18
-    np.testing.assert_allclose(
-        trajectory.cov_pose_wcs[100, :3, :3],
-        [[4e-4, 1e-4, 2e-4], [1e-4, 9e-4, -3e-4], [2e-4, -3e-4, 16e-4]],
-        rtol=1e-4,
-    )
-
-
 def test_a_velocity_without_one_of_its_components_guides_no_position():
     positions, states = survey()
     states.loc[100:109, "v_down_mps"] = np.nan
@@ -342,25 +284,18 @@ def test_states_within_the_first_or_last_interval_of_positions_are_enough():
 def test_an_ins_alone_keeps_the_sigmas_that_it_states():
     """Roll is stated with 2 mrad; pitch and heading are not, and get the configured ones."""
     _, states = survey()
-    trajectory, _ = trajectory_from_states(
-        states.assign(sigma_roll_rad=2e-3),
-        FRAME,
-        max_attitude_gap_s=0.2,
-        sigma_attitude_rad=[3e-3, 4e-3, 5e-3],
-    )
-    np.testing.assert_allclose(trajectory.sigma_roll_pitch_heading_rad()[0], [2e-3, 4e-3, 5e-3])
+    trajectory, _ = by_states(states.assign(sigma_roll_rad=2e-3))
+    assert_allclose(trajectory.sigma_roll_pitch_heading_rad()[0], [2e-3, 4e-3, 5e-3])
 
 
 def test_a_state_without_one_of_its_sigmas_has_no_pose():
     """Ten states lack the sigma of their height, the others are stated with 0.5, 0.6 and 1.0 m."""
     _, states = survey()
     states.loc[states.index[100:110], "sigma_up_m"] = np.nan
-    trajectory, summary = trajectory_from_states(
-        states, FRAME, max_attitude_gap_s=0.2, sigma_attitude_rad=[3e-3, 4e-3, 5e-3]
-    )
-    assert np.flatnonzero(~trajectory.valid).tolist() == list(range(100, 110))
+    trajectory, summary = by_states(states)
+    assert np.flatnonzero(~trajectory.valid).tolist() == [*range(100, 110)]
     assert summary.n_nodes_valid == len(states) - 10
-    np.testing.assert_allclose(np.diag(trajectory.cov_pose_wcs[99])[:3], [0.25, 0.36, 1.0], rtol=1e-4)
+    assert_allclose(np.diag(trajectory.cov_pose_wcs[99])[:3], [0.25, 0.36, 1.0], rtol=1e-4)
 
 
 def test_streams_that_meet_by_less_than_an_interval_overlap():
@@ -398,14 +333,7 @@ def test_one_long_pause_does_not_make_an_ins_slow():
 
 
 def test_four_positions_are_enough_and_three_are_not():
-    positions = pd.DataFrame(
-        {
-            "t_gps_s": np.arange(4.0),
-            "fix": "fixed",
-            **dict.fromkeys(("lat_deg", "lon_deg", "h_ell_m"), 1.0),
-            **dict.fromkeys(("sigma_east_m", "sigma_north_m", "sigma_up_m"), 0.1),
-        }
-    )
+    positions = survey()[0][:4]
     assert len(usable_positions(positions, ["fixed"], TrajectorySummary())) == 4
     with pytest.raises(InputError, match="3 usable positions of 3"):
         usable_positions(positions[:3], ["fixed"], TrajectorySummary())

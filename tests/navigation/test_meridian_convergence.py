@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from pyproj import CRS, Geod, Proj, Transformer
 
 from thalweg.core import LocalFrame, rotation_enu_body
@@ -37,7 +38,7 @@ def test_a_true_heading_becomes_a_grid_bearing_by_the_convergence_where_the_boat
     lon, lat, _ = Geod(ellps="GRS80").fwd(lon_deg, lat_deg, heading_deg, 20.0)
     east, north = Transformer.from_crs(4258, UTM33, always_xy=True).transform(lon, lat)
     # 20 m at a height of 105 m look 20 / 6.4e6 * 105 = 0.3 mm shorter on the ellipsoid
-    np.testing.assert_allclose(there[:2], [east, north], atol=5e-4)
+    assert_allclose(there[:2], [east, north], atol=5e-4)
 
 
 @pytest.mark.parametrize(("lat_deg", "lon_deg"), PLACES)

@@ -1,7 +1,6 @@
 """Exposures of a rig go the way of any images: block, clock, camera trajectory, fused trajectory."""
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -12,9 +11,8 @@ from thalweg.calibration import LENSES, Rig
 from thalweg.clocks import OffsetOptions, Track
 from thalweg.clocks.synchronise import run_attitude
 from thalweg.core import Rigid
-from thalweg.images.bundle import Boat, Problem, adjust_campaign
+from thalweg.images.bundle import Boat, adjust_campaign
 from thalweg.images.bundle.job import mark_rows
-from thalweg.images.model import ImagePoses
 from thalweg.navigation.camera import CloudSettings, antenna_in_camera, camera_trajectory, time_images
 from thalweg.navigation.fusion import FusionSettings
 from thalweg.settings.sections import BlockAdjustment, ControlSettings, Rig as RigSettings
@@ -37,7 +35,7 @@ JITTER_S = 0.02
 SIGMA_LEVER_M = [0.001] * 3
 
 
-def calibrated(seed: int) -> tuple[dict, Rig]:
+def calibrated(seed):
     """Lenses of a rig, and what a calibration says of them: a micrometre to a tenth of a millimetre wrong."""
     true = true_rig(TwinDualFisheye(), seed)
     sigma = np.r_[np.tile([0.02] * 4 + [1e-4] * 4, 2), [1e-4] * 3, [5e-5] * 3]
@@ -54,7 +52,7 @@ def calibrated(seed: int) -> tuple[dict, Rig]:
     return lenses_of(true, rig), rig
 
 
-def adjusted(problem: Problem, predicted: ImagePoses, rig: Rig, **more: Any) -> tuple:
+def adjusted(problem, predicted, rig, **more):
     given = {"control_points": [], "marks": None, "boat": None, **more}
     return adjust_campaign(
         problem.block,

@@ -1,7 +1,5 @@
 """Are the sigmas of the trajectory consistent? Raw logs of 12 seeds, read back, against the twin's truth."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from scipy.stats import chi2
@@ -19,7 +17,7 @@ LEVER = np.array([0.1, 0.0, -0.45])
 SEEDS = 12
 
 
-def normalised_errors(folder: Path, seed: int, **changes) -> tuple[np.ndarray, np.ndarray]:
+def normalised_errors(folder, seed, **changes):
     """Squared errors over predicted variances at two instants 10 s apart: position (2, 3), attitude (2, 3).
 
     At two instants only: with a correlation time of 0.5 s they are independent of each other.
@@ -55,12 +53,12 @@ def normalised_errors(folder: Path, seed: int, **changes) -> tuple[np.ndarray, n
     return error**2 / variance, angles**2 / trajectory.sigma_roll_pitch_heading_rad()[nodes] ** 2
 
 
-def study(folder: Path, **changes) -> tuple[np.ndarray, np.ndarray]:
+def study(folder, **changes):
     pairs = [normalised_errors(folder, seed, **changes) for seed in range(SEEDS)]
     return np.concatenate([p for p, _ in pairs]), np.concatenate([a for _, a in pairs])
 
 
-def inside_band(squares: np.ndarray, level: float = 0.999) -> np.ndarray:
+def inside_band(squares, level=0.999):
     """Is the sum of n normalised squares of each column inside its chi-square band? Two-sided."""
     n = len(squares)
     low, high = chi2.ppf([(1 - level) / 2, (1 + level) / 2], n)

@@ -1,7 +1,6 @@
 """Attitudes of a boat without an INS, and positions whose log states no accuracy or height."""
 
 import numpy as np
-import pandas as pd
 import pytest
 
 from thalweg.core import InputError, LocalFrame
@@ -12,7 +11,7 @@ FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
 HOW = {"accept_fixes": ["single"], "max_gap_s": 1.5, "sigma_level_deg": 3.0}
 
 
-def positions(enu_m: np.ndarray, sigma_m: float, step_s: float = 1.0) -> pd.DataFrame:
+def positions(enu_m, sigma_m, step_s=1.0):
     """Positions of kind ``gnss_position`` at places of the local frame."""
     table = GNSS_POSITION.empty_table().to_pandas().reindex(range(len(enu_m)))
     lat, lon, h = FRAME.to_geodetic(enu_m)
@@ -21,14 +20,14 @@ def positions(enu_m: np.ndarray, sigma_m: float, step_s: float = 1.0) -> pd.Data
     return table.assign(fix="single", n_sats=8, **sigmas)
 
 
-def straight(n: int, course_deg: float, speed_mps: float = 2.0) -> np.ndarray:
+def straight(n, course_deg, speed_mps=2.0):
     """Places of a boat on one course."""
     along = speed_mps * np.arange(n)
     course = np.deg2rad(course_deg)
     return np.column_stack([along * np.sin(course), along * np.cos(course), np.zeros(n)])
 
 
-def turned(a_rad: np.ndarray, b_rad: float) -> np.ndarray:
+def turned(a_rad, b_rad):
     """Difference of two headings within half a turn."""
     return (a_rad - b_rad + np.pi) % (2 * np.pi) - np.pi
 
