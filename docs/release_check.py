@@ -31,7 +31,8 @@ validation = runpy.run_path(str(ROOT / "docs/make_validation.py"))
 numbers = runpy.run_path(str(ROOT / "tests/golden/kept_numbers.py"))
 
 OTHERS: Final = {
-    "timings": ["docs/make_timings.py", "tiny", "demo", "mulde_quarter"],
+    "timings": ["docs/make_timings.py", "tiny", "demo"],
+    "mulde_quarter": ["docs/make_timings.py", "mulde_quarter"],
     "real": ["docs/make_real.py", "--workers", "2"],
     "mutants": ["tests/mutants/run.py", "--count", "150", "--minutes", "45"],  # 95 % of draws within 7 %
     "benchmarks": ["-m", "pytest", "tests/benchmarks", "-m", "slow"],
