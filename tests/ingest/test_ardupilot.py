@@ -17,7 +17,7 @@ from thalweg.core import InputError, gps_from_unix, gps_from_week
 from thalweg.ingest import PoseLog, TrackOptions
 from thalweg.ingest.photos import read_image_stamps
 from thalweg.ingest.recorders import USUAL_LAG_S, read_ardupilot
-from thalweg.ingest.registry import describe, recognise, stream_of
+from thalweg.ingest.registry import describe, read_depths, recognise, stream_of
 
 SIZES = {"c": "h", "C": "H", "L": "i", "E": "I", "N": "16s", "Z": "64s"}
 """Of formats that `struct` writes with another letter."""
@@ -326,3 +326,18 @@ def test_damaged_logs_are_read_or_refused(tmp_path, fuzz):
             assert table["lat_deg"].dropna().abs().le(90).all()
             assert table["lon_deg"].dropna().abs().le(180).all()
     fuzz.check(read=0.7, troubled=0.2)
+
+
+def test_a_stated_lag_counts(tmp_path):
+    path = tmp_path / "log.bin"
+    path.write_bytes(boat_log(delay_ms=1e3 * LAG_S))
+    log = read_ardupilot([path], TrackOptions())
+    assert log.states["t_gps_s"].iloc[0] == pytest.approx(float(gps_from_week(WEEK, 100_000.0)), abs=1e-4)
+    assert any("0.20 s late (stated)" in note for note in log.report.notes)
+
+
+def test_rangefinders_count_where_they_look_down_and_see_the_bottom(tmp_path):
+    path = tmp_path / "log.bin"
+    path.write_bytes(boat_log(depth="RFND"))
+    depths = read_depths([path]).depths
+    assert depths["depth_m"].value_counts().to_dict() == {4.0: 540, 0.0: 60}

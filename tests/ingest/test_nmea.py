@@ -391,3 +391,23 @@ def test_a_track_alone_and_a_damaged_file_beside_it_make_a_campaign(tmp_path, sa
     assert "left out, the bag cannot be opened" in capsys.readouterr().err
     assert "\n  positions: [../logs/track.txt]" in path.read_text()
     assert main(["check-config", str(path)]) == 0
+
+
+@pytest.mark.real
+def test_dates_of_real_boats(data_dir):
+    folder = data_dir / "nmea_gpsd_depth"
+    # PROVENANCE.md: 09:47:36 .. 09:50:04 UTC, RMC date 200818; GPS - UTC = 18 s
+    report = read_nmea([folder / "bundg_zeus_9.log"]).report
+    assert report.synchronised
+    assert report.t_first_s == gps(2018, 8, 20, 9, 47, 36)
+    assert report.t_last_s == gps(2018, 8, 20, 9, 50, 4)
+    # no date: 16:43:26 .. 16:47:28
+    log = read_nmea([folder / "sounder.log"])
+    assert not log.report.synchronised
+    assert log.depths["t_gps_s"].isna().all()
+    assert any("no date" in note for note in log.report.notes)
+    assert (log.report.t_first_s, log.report.t_last_s) == (60206.0, 60448.0)
+    dated = read_nmea([folder / "sounder.log"], dt.date(2012, 1, 19))
+    assert dated.report.t_first_s == gps(2012, 1, 19, 16, 43, 26)
+    # 2012-01-19: GPS - UTC = 15 s
+    assert dated.report.t_first_s == float(gps_from_week(1671, 4 * 86400 + 60206 + 15))

@@ -355,3 +355,31 @@ def test_depths_that_are_not_read_are_the_cause(body, words, saved):
     path = saved("log.nmea", "".join(rmc(START + k) + nmea(body) for k in range(2)))
     with pytest.raises(InputError, match=words):
         read_depths([path])
+
+
+@pytest.mark.real
+@pytest.mark.parametrize(
+    ("trait", "words"),
+    [
+        ("cold_start_1980", "20 depths"),
+        ("depth_below_keel_only", "below the keel"),
+        ("fast_pings", "spread evenly"),
+        ("gns_only", ""),
+        ("two_receivers", "AI (GGA/RMC 240, single), 4.0 m"),
+        ("week_rollover", "logs.depth_date: 2024-06-12"),
+    ],
+)
+def test_traits_of_reports(data_dir, trait, words):
+    path = data_dir / "reports_logs" / f"nmea_{trait}" / "log.nmea"
+    log = read_nmea([path], dt.date(2024, 6, 12))
+    assert log.report.t_first_s == float(gps_from_unix(DAY + START))
+    assert (log.report.t_last_s or 0.0) - log.report.t_first_s == pytest.approx(119.5, abs=0.5)
+    assert len(log.positions) == 120
+    assert_allclose(log.positions["lat_deg"], 51.05, atol=1e-9)
+    assert_allclose(log.positions["h_ell_m"], 155.0, atol=1e-9)
+    assert set(log.positions["fix"]) == {"fixed"}
+    as_read = read_nmea([path])
+    assert not words or noted(as_read, words)
+    if trait == "fast_pings":
+        off = log.depths["depth_m"] - 3.0 - 0.06 * (since_start(log) + 0.0)
+        assert abs(off.mean()) < 0.001

@@ -367,3 +367,20 @@ def test_a_number_with_a_blank_inside_is_garbled(tmp_path):
     """Such a count of satellites ended in a ValueError."""
     odd = obs_3(3).replace("  0  3", "  00 3", 1)
     assert scan_rinex(write(tmp_path, "a.obs", odd)).losses == {"epochs_garbled": 1}
+
+
+REAL = [
+    ("rinex_cssrlib_kinematic_2021/SEPT265G.21O", "epochs", 360, "2021-09-22T06:29:42.000Z"),
+    ("rinex_cssrlib_kinematic_2021/3034265G.21O", "epochs", 360, "2021-09-22T06:29:42.000Z"),
+    ("sbp_piksi_rtk_2017/reference/piksi_rover.obs", "epochs", 400, "2017-05-12T18:44:56.000Z"),
+    ("sbp_piksi_rtk_2017/reference/piksi_base.obs", "epochs", 439, "2017-05-12T18:44:16.000Z"),
+]
+
+
+@pytest.mark.real
+@pytest.mark.parametrize(("name", "what", "n", "first"), REAL)
+def test_real_files(data_dir, name, what, n, first):
+    report = describe_rinex(data_dir / name)  # figures of the PROVENANCE.md files, UTC = GPST - 18 s
+    assert report.counts[what] == n
+    assert report.clean
+    assert utc_text_from_gps(report.t_first_s) == first

@@ -620,3 +620,15 @@ def test_real_bags(data_dir):
     path = next((today / "ros2_hesai_xt32_packets").glob("*.db3"))
     with pytest.raises(InputError, match="Packets of a Hesai are not read: play them to PointCloud2"):
         lidar_reader([path]).scan()
+
+
+@pytest.mark.real
+def test_real_packets_of_an_ouster(data_dir):
+    """Columns and device time as ouster-sdk's own reader of the bag states them."""
+    pytest.importorskip("ouster.sdk.core", reason="the extra thalweg[ouster] is not installed")
+    reader = lidar_reader([data_dir / "today/ros1_ouster_packets/512x10_raw.bag"])
+    scan = reader.scan()
+    assert (scan.model, scan.report.counts["frames"], scan.report.counts["columns"]) == ("OS-0-128", 1, 512)
+    assert (scan.report.t_first_s, scan.report.t_last_s) == pytest.approx((291.159252580, 291.258956760))
+    assert scan.report.files == [str(path) for path in reader.files]
+    assert sum(block.n for block in reader.points(scan.clock)) == scan.n_points

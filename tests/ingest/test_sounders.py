@@ -341,3 +341,17 @@ def test_tables_beside_a_log_are_no_second_one(tmp_path, saved, capsys):
     path = new_campaign(tmp_path / "logs", tmp_path / "campaigns")
     assert "table of depths with times, beside a log of the same: day.csv" in capsys.readouterr().err
     assert "\n  depth: [../logs/day.sl2]" in path.read_text()
+
+
+def test_slanted_beams_hit_where_they_look(tmp_path):
+    """Heading east: beam 3 looks east, beam 1 to port is north, all by 4 m times tan 20 degrees."""
+    path = tmp_path / "river.PD0"
+    path.write_bytes(ensemble(0, vertical_m=None, beams_m=4.0, heading_deg=90.0))
+    found = soundings_table(path)
+    table, away = found[0], 4.0 * math.tan(math.radians(20.0))
+    north = (table["latitude"] - 51.0) * math.radians(1.0) * 6_371_000.0
+    east = (table["longitude"] + 13.0) * math.radians(1.0) * 6_371_000.0 * math.cos(math.radians(51.0))
+    assert north.tolist() == pytest.approx([away, -away, 0.0, 0.0], abs=1e-6)
+    assert east.tolist() == pytest.approx([0.0, 0.0, away, -away], abs=1e-6)
+    assert table["depth_m"].tolist() == pytest.approx([4.0] * 4)
+    assert any("states no magnetic variation (EB)" in note for note in found[1])

@@ -355,3 +355,11 @@ def test_a_world_of_a_camera_is_refused(tmp_path):
     options = TrackOptions(**STATED, body_axes="right-down-forward", times=times)
     with pytest.raises(InputError, match="bow points up or down by 90 deg"):
         read_poses([path], None, options)
+
+
+@pytest.mark.real
+def test_poses_of_a_real_lidar(data_dir):
+    path = data_dir / "ouster_sdk_samples/OS-1-128_v2.3.0_1024x10_lb_n3_poses_kitti.txt"
+    assert recognise(path) == "kitti"
+    poses = read_text_poses("kitti", [path])
+    assert_allclose(poses.position_m[:, 0], [0.0, 0.2454105, 0.4978255], atol=1e-7)
