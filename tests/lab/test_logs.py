@@ -316,7 +316,7 @@ def test_scans_lie_on_the_surface_within_their_noise(twin, scene):
 FORMULAS = {
     "core/frames.py": ("core/test_frames.py", "Rotation.from_euler"),
     "core/rigid.py": ("core/test_adjustment.py", "source @ truth.T"),
-    "core/camera.py": ("core/test_camera.py", "cv2.projectPoints"),
+    "core/camera.py": ("core/test_camera.py", "cv2.fisheye"),
     "core/timescales.py": ("core/test_timescales.py", "dt.datetime"),
     "core/geometry/raycast.py": ("core/test_raycast.py", "test_slanting_rays_meet_a_plane"),
     "calibration/marker_sheets.py": ("calibration/test_marker_sheets.py", "cv2.aruco.generateImageMarker"),

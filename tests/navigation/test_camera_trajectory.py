@@ -127,9 +127,9 @@ def perfect(image_s, *, heading_bias_rad=0.0, velocity_bias_mps=0.0):
     return image_poses_of(position + R @ CAMERA.shift_m, R @ CAMERA.R, 3.0e8 + image_s, **exact), states
 
 
-def follow(poses, states, settings, **more):
+def follow(poses, states, settings, camera=CAMERA, **more):
     return camera_trajectory(
-        poses, CAMERA, settings, states=states, sigma_attitude_rad=SIGMA_RAD, max_attitude_gap_s=0.1, **more
+        poses, camera, settings, states=states, sigma_attitude_rad=SIGMA_RAD, max_attitude_gap_s=0.1, **more
     )
 
 
