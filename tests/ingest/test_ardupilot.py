@@ -30,6 +30,7 @@ POS QLLf TimeUS,Lat,Lng,Alt
 XKF4 QBfB TimeUS,C,errRP,PI
 XKV1 QBffffffffff TimeUS,C,V00,V01,V02,V03,V04,V05,V06,V07,V08,V09
 DPTH QLLf TimeUS,Lat,Lng,Depth
+RFND QBfBB TimeUS,Instance,Dist,Stat,Orient
 PARM QNf TimeUS,Name,Value
 MSG QZ TimeUS,Message
 CAM QBH TimeUS,I,Img
@@ -61,11 +62,11 @@ def heads() -> bytes:
     return out
 
 
-def boat_log(*, und_m: float = -46.5, gps: bool = True) -> bytes:
+def boat_log(*, und_m: float = -46.5, delay_ms: float = 0.0, depth: str = "DPTH", gps: bool = True) -> bytes:
     """Two crossings of a river in 60 s at 10 Hz, 4 m deep; a receiver whose fixes come `LAG_S` late."""
     out = [
         heads(),
-        packed("PARM", 1_000, "GPS1_DELAY_MS", 0.0),
+        packed("PARM", 1_000, "GPS1_DELAY_MS", delay_ms),
         packed("MSG", 1_000, "ArduRover V4.5.1 (ab)"),
     ]
     for k in range(600):
@@ -82,7 +83,11 @@ def boat_log(*, und_m: float = -46.5, gps: bool = True) -> bytes:
                 out.append(packed("XKF4", us, core, 0.006 * scale**0.5, 1))
                 v = [2.1447e-4, 4.466e-6, 4.474e-6, 1.9831e-5, 1.0, 1.0, 1.0, 0.0004, 0.0009, 0.0016]
                 out.append(packed("XKV1", us, core, *(scale * x for x in v)))
-        out.append(packed("DPTH", us + 20_000, lat, lng, 4.0 + 0.1 * (k % 3)))
+        if depth == "DPTH":
+            out.append(packed("DPTH", us + 20_000, lat, lng, 4.0 + 0.1 * (k % 3)))
+        else:
+            out.append(packed("RFND", us + 20_000, 0, 4.0, 4 if k % 10 else 2, 25))
+            out.append(packed("RFND", us + 20_000, 1, 30.0, 4, 0))  # looks ahead
     return b"".join(out)
 
 
