@@ -4,19 +4,17 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
 
 from tests.images import block_scene
-from thalweg.core import GeometryError, LocalFrame, exp_rotation
+from thalweg.core import GeometryError, exp_rotation
 from thalweg.images.bundle import adjust_pieces, marks_of_pieces, pieces_tables, read_pieces
-from thalweg.images.bundle.job import mark_rows, time_gaps
+from thalweg.images.bundle.job import time_gaps
 from thalweg.images.bundle.problem import Problem
 from thalweg.images.model import ImageBlock, ImagePoses
 from thalweg.images.sfm.mapping import part_of_block
 from thalweg.settings.sections import BlockAdjustment, ControlSettings
 
-FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=150.0)
 N = 32
 
 
@@ -26,46 +24,12 @@ def survey():
 
 
 def predictions_of(truth) -> ImagePoses:
-    return ImagePoses(
-        frame=FRAME,
-        images=tuple(f"{k:04d}.jpg" for k in range(N)),
-        t_gps_s=1.4e9 + np.arange(N) * 1.0,
-        sigma_t_s=np.full(N, 0.005),
-        oriented=np.ones(N, bool),
-        reasons=("",) * N,
-        centre_wcs_m=truth.C + np.array([0.3, -0.3, 0.1]),
-        R_wcs_ccs=truth.R,
-        cov_pose_wcs=np.tile(0.01 * np.eye(6), (N, 1, 1)),
-        cov_next=np.zeros((N, 6, 6)),
-        n_marks=np.zeros(N),
-        rms_px=np.full(N, np.nan),
-    )
+    at = truth.C + np.array([0.3, -0.3, 0.1])
+    return block_scene.predictions(at, truth.R, sigma_t_s=np.full(N, 0.005))
 
 
-def tables(folder: Path, problem: Problem, *, none_is_control: bool = False) -> dict[str, object]:
-    control = problem.control
-    check = control.check | none_is_control
-    pd.DataFrame(
-        {
-            "id": control.names,
-            **{a: control.points_wcs_m[:, i] for i, a in enumerate(("east_m", "north_m", "up_m"))},
-            "sigma_east_m": 0.005,
-            "sigma_north_m": 0.005,
-            "sigma_up_m": 0.005,
-            "role": np.where(check, "check", "control"),
-        }
-    ).to_csv(folder / "control.csv", index=False)
-    mark_rows(problem.block, control, problem.marks).to_csv(folder / "marks.csv", index=False)
-    return {
-        "frame": FRAME,
-        "crs": None,
-        "control": ControlSettings(),
-        "known": None,
-        "boat": None,
-        "control_points": [folder / "control.csv"],
-        "marks": folder / "marks.csv",
-        "reasons": {},
-    }
+def tables(folder: Path, problem: Problem) -> dict[str, object]:
+    return block_scene.campaign_tables(folder, problem) | {"reasons": {}}
 
 
 def piece(block: ImageBlock, rows, *, turn: float) -> ImageBlock:

@@ -28,19 +28,7 @@ def block_of(n: int = 8) -> ImageBlock:
     )
     C = np.stack([np.linspace(0, 16, n), -14 + 2 * np.sin(np.arange(n)), np.full(n, 2.5)], axis=1)
     R = np.array([block_scene.looking(0.05 * np.sin(k), 0.01 * k, 0.03 * np.cos(k)) for k in range(n)])
-    none = np.empty(0, np.int64)
-    return ImageBlock(
-        cameras=(camera,),
-        images=tuple(f"{k}.png" for k in range(n)),
-        camera=np.zeros(n, np.int64),
-        R_block_ccs=R,
-        centre_block_m=C,
-        points_block_m=np.empty((0, 3)),
-        mark_image=none,
-        mark_point=none,
-        mark_px=np.empty((0, 2)),
-        sigma_px=np.empty(0),
-    )
+    return block_scene.without_points((camera,), [f"{k}.png" for k in range(n)], C, R)
 
 
 def picture(block: ImageBlock, k: int, places: np.ndarray, rng: np.random.Generator) -> np.ndarray:
