@@ -136,15 +136,18 @@ def test_place_and_time_choose(tmp_path, capsys):
         main(["catalogue", str(tmp_path), "--since", "yesterday"])
 
 
-def test_eighty_campaigns_take_seconds(tmp_path):
+def test_eighty_campaigns_take_two_seconds(tmp_path):
     """And their standardised clocks are as wide as they should be: 1 within four of its own sigmas."""
     rng = default_rng(21)
     for k in range(80):
         survey(tmp_path / f"c{k:03}", day=k, offset_s=OFFSET_S + SIGMA_S * rng.standard_normal())
-    start = time.process_time()
-    entries = read_entries(tmp_path)
-    control = write_catalogue(entries, tmp_path / "catalogue")
-    assert time.process_time() - start < 4.0  # 2.0 beside other work
+    taken_s = []
+    for _ in range(2):  # the faster of two, as other work on the machine slows one
+        start = time.process_time()
+        entries = read_entries(tmp_path)
+        control = write_catalogue(entries, tmp_path / "catalogue")
+        taken_s.append(time.process_time() - start)
+    assert min(taken_s) < 2.0, taken_s
     offsets = control[control["quantity"] == "camera clock offset"]
     assert len(offsets) == 80
     # the standard deviation of n normal values is known to 1 / sqrt(2 n)
