@@ -9,13 +9,12 @@ kinds of mistake, **anew each time**: tests written for the survivors of one dra
 ``--seed`` repeats one. Nothing is taken out by hand: what no test can see is told by the rules of
 `mutations`, and what these miss counts as a survivor.
 
-All tests are collected once, and run once on the right code to note which lines each of them executes (kept
-in pytest's cache until the library, a helper of the tests or the file of tests changes). For each mistake a
-child is forked, which exchanges the changed function and runs the tests that execute its statement, until
-one fails; a mistake that no test executes survives at once. What runs when modules are imported cannot be
-exchanged: there the child has no module of Thalweg yet and imports the changed one. A mistake is found if a
-test fails, raises, runs out of CPU time or crashes, and passes on the right code. No file of the source tree
-is touched.
+All tests are collected once, and run once on the right code to note which lines each of them executes of the
+functions with mistakes. For each mistake a child is forked, which exchanges the changed function and runs the
+tests that execute its statement, until one fails; a mistake that no test executes survives at once. What runs
+when modules are imported cannot be exchanged: there the child has no module of Thalweg yet and imports the
+changed one. A mistake is found if a test fails, raises, runs out of CPU time or crashes, and passes on the
+right code. No file of the source tree is touched.
 
 Tests that run whole campaigns take minutes. Instead of them, each job of these campaigns that executes the
 statement of a survivor is run again with the mistake (`campaigns`). It is found if a number moves that
@@ -55,7 +54,7 @@ import threading
 import time
 import traceback
 from collections import Counter, defaultdict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
 from functools import cache
@@ -92,7 +91,7 @@ LIMIT_S: Final = 150.0
 MAP_LIMIT_S: Final = 900.0
 """CPU time of a file of tests while its lines are noted."""
 KEPT: Final = REPOSITORY / ".pytest_cache/d/mutants"
-"""Folder of the lines that each test executes."""
+"""Folder of the campaigns and of the lines that each of their jobs executes."""
 MEMORY_BYTES: Final = 8 * 2**30
 """Address space of a child: a mistake in a size must not take the machine down."""
 LIBRARIES: Final = (
@@ -246,27 +245,35 @@ def options_of_pytest(compiled: bool) -> list[str]:
     return options
 
 
-class Tracers(dict[str, Any]):
-    """By file of the library what notes the lines of its functions that run."""
+class Tracers(dict[tuple[str, CodeType], Any]):
+    """By function of the library what notes its lines that run, as far as it holds wanted lines of its file.
 
-    def __init__(self) -> None:
+    Python asks at each line of a function that is noted, which makes it some ten times slower.
+    """
+
+    def __init__(self, wanted: Mapping[str, set[int]] | None = None) -> None:
+        self.wanted = wanted
         self.lines = defaultdict[str, set[int]](set)
 
-    def __missing__(self, file: str) -> Any:
+    def __missing__(self, function: tuple[str, CodeType]) -> Any:
+        file, code = function
+        own = {line for _, _, line in code.co_lines() if line}
         note = None
-        if file.startswith(str(SOURCE)):
+        if code.co_flags & inspect.CO_OPTIMIZED and (self.wanted is None or own & self.wanted[file]):
 
             def note(frame: FrameType, _event: str, _arg: Any) -> Any:
                 self.lines[file].add(frame.f_lineno)
                 return note
 
-        self[file] = note
+        self[function] = note
         return note
 
     def __call__(self, frame: FrameType, _event: str, _arg: Any) -> Any:
         """What Python calls for each function that begins."""
         code = frame.f_code
-        return self[code.co_filename] if code.co_flags & inspect.CO_OPTIMIZED else None
+        file = code.co_filename
+        wanted = file.startswith(str(SOURCE)) if self.wanted is None else file in self.wanted
+        return self[file, code] if wanted else None
 
     def noted(self, begin: bool) -> dict[str, set[int]]:
         """Lines since the last call; begins, or ends, to note those of this and later threads."""
@@ -323,7 +330,10 @@ class Judge(Stop):
 
     def __init__(self, runs: Sequence[Run], workers: int, until_s: float) -> None:
         self.runs, self.workers, self.until_s = runs, workers, until_s
-        self.tracers = Tracers()
+        self.wanted = defaultdict[str, set[int]](set)
+        for run in runs:
+            self.wanted[str(run.target.path)].update(run.lines)
+        self.tracers = Tracers(dict(self.wanted))
         self.bad = set[str]()
 
     def pytest_runtestloop(self, session: Any) -> bool:
@@ -367,34 +377,21 @@ class Judge(Stop):
 
     def tables(self) -> dict[str, dict[str, tuple[float, dict[str, set[int]]]]]:
         """Of each file of tests, by test: CPU time, and which of the lines with mistakes, by module."""
-        tests = REPOSITORY / "tests"
-        digest = hashlib.sha256(str(self.runs[0].target.compiled).encode())
-        for path in sorted({*SOURCE.rglob("*.py"), *SOURCE.rglob("*.yaml"), *tests.rglob("*.py")}):
-            if not path.name.startswith("test_") and path.parent != HERE:
-                digest.update(path.read_bytes())
-        kept = {}
-        for file in {file for run in self.runs for file in run.target.tests}:
-            own = digest.copy()
-            own.update((tests / file).read_bytes())
-            kept[file] = KEPT / f"{own.hexdigest()}.pickle"
-        KEPT.mkdir(parents=True, exist_ok=True)
-        missing = [
-            Run(Target("", (file,)), None, path.with_suffix(".txt"), limit_s=MAP_LIMIT_S)
-            for file, path in kept.items()
-            if not path.exists()
+        files = sorted({file for run in self.runs for file in run.target.tests})
+        folder = self.runs[0].log.parent
+        noted = [
+            Run(Target("", (file,)), None, folder / f"lines.{number}.txt", limit_s=MAP_LIMIT_S)
+            for number, file in enumerate(files)
         ]
-        run_all(missing, self.traced, self.workers)
-        if failed := [run.target.tests[0] for run in missing if run.verdict != "survived"]:
-            raise RuntimeError(f"lines of {failed} cannot be noted: see {KEPT}/*.txt")
-        wanted = defaultdict[str, set[int]](set)
-        for each in self.runs:
-            wanted[str(each.target.path)].update(each.lines)
+        run_all(noted, self.traced, self.workers)
+        if failed := [run.target.tests[0] for run in noted if run.verdict != "survived"]:
+            raise RuntimeError(f"lines of {failed} cannot be noted: see lines.*.txt of --logs")
         return {
-            file: {
-                test: (cpu_s, {of: lines & wanted[of] for of, lines in seen.items() if of in wanted})
-                for test, (cpu_s, seen) in pickle.loads(path.read_bytes()).items()
+            run.target.tests[0]: {
+                test: (cpu_s, {of: lines & self.wanted[of] for of, lines in seen.items()})
+                for test, (cpu_s, seen) in pickle.loads(run.log.with_suffix(".pickle").read_bytes()).items()
             }
-            for file, path in kept.items()
+            for run in noted
         }
 
     def traced(self, run: Run) -> int:

@@ -144,7 +144,7 @@ def test_selection_loses_no_mistake_that_all_tests_find(run, tmp_path, monkeypat
         path = tmp_path / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text)
-    for name, folder in {"REPOSITORY": "", "SOURCE": "src", "KEPT": "kept"}.items():
+    for name, folder in {"REPOSITORY": "", "SOURCE": "src"}.items():
         monkeypatch.setattr(run, name, tmp_path / folder)
     monkeypatch.chdir(tmp_path)
     target = run.Target("small_library/values", ("small/test_aside.py", "small/test_values.py"))
