@@ -167,7 +167,7 @@ class Job:
 JOBS = {
     "georeference_lidar": Job(georeference, "a piece, and the surface that was seen", 400, 20),
     "export_map": Job(to_map, "a piece", 400),
-    "export_copc": Job(to_copc, "a part", 400),
+    "export_copc": Job(to_copc, "a part, sorted and packed", 440),
     "viewer_page": Job(viewer, "four times the points shown, which are half a piece", 400),
     "pictures": Job(picture, "a sample, as the front page and other pictures of a cloud", 400),
     "build_dtm": Job(ground, "a piece, ground of the banks and its grid", 400, 100),
