@@ -193,6 +193,17 @@ def test_a_fit_tells_the_overlap_and_grows_the_sigmas(rng, tmp_path):
     assert np.array(told["cov"]) == pytest.approx(fit.cov)
 
 
+def test_a_fit_rests_on_stable_ground_alone(rng):
+    """Two corners of the bank are stable; between them it sank by half a metre."""
+    corners = [[[x, y], [x + 15, y], [x + 15, y + 10], [x, y + 10]] for x, y in ((0, 0), (45, 14))]
+    ours, theirs = bank(rng, 16_000), bank(rng, 16_000) + np.array([0, 0, 0.3])
+    x, y = theirs[:, :2].T
+    theirs[~(((x < 15) & (y < 10)) | ((x > 45) & (y > 14))), 2] -= 0.5
+    settings = CloudFit(stable=corners, motion="shift")
+    fit = fit_cloud(cloud(theirs), cloud(ours), settings, sigma_shared_m=0.0)
+    assert fit.motion.shift_m == pytest.approx([0, 0, -0.3], abs=0.02)
+
+
 def test_a_level_plain_shows_no_shift_along_itself(rng):
     def plain():
         return np.column_stack([rng.uniform(0, 60, (8000, 2)), rng.normal(0, 0.01, 8000)])
