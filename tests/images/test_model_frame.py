@@ -82,6 +82,8 @@ def test_photographs_alone_have_the_right_shape(model):
     left = (scale * xyz @ R.T + shift - true) / scale
     assert np.abs(left).max() < 4 * sigma.max()
     assert sigma.max() < 0.02
+    told = pd.read_csv(out / "images.csv")[["sigma_x", "sigma_y", "sigma_z"]].to_numpy()
+    assert told == pytest.approx(sigma, rel=1e-5)  # six digits
     points = pd.read_csv(out / "points.csv").set_index("point")
     corners = scale * points.loc[list(CORNERS), ["x", "y", "z"]].to_numpy() @ R.T + shift
     np.testing.assert_allclose(corners, list(CORNERS.values()), atol=0.15)

@@ -176,6 +176,8 @@ def test_long_surveys_are_estimated_in_parts():
     both = np.hypot(whole.clock.sigma_offset_s, parts.clock.sigma_offset_s)
     assert abs(whole.clock.offset_s - parts.clock.offset_s) < both
     assert parts.clock.sigma_offset_s == pytest.approx(whole.clock.sigma_offset_s, rel=0.5)
+    for name in ("jitter_s", "sigma_jitter_s"):
+        assert getattr(parts.clock, name) == pytest.approx(getattr(whole.clock, name), rel=0.5)
     assert parts.facts["images_timed"] == 49
     # 50 s tell little of a drift of 50 ppm: what is known before counts once, not once a part
     assert parts.facts["run"]["sigma_drift_ppm"] == pytest.approx(
