@@ -71,7 +71,7 @@ def test_a_line_that_does_not_count_crosses_nothing():
 )
 def test_slow_errors_are_found_whatever_is_stated(stated_m, stated_s):
     """Two-sided over surveys: neither a stated size nor a stated time that is wrong fools the estimate."""
-    sizes, squares, after = [], [], []
+    sizes, times, squares, after = [], [], [], []
     for seed in range(12):
         table = survey(seed, stated_m=stated_m)
         found, time_s, facts = estimate_slow_errors(table, stated_s)
@@ -82,9 +82,12 @@ def test_slow_errors_are_found_whatever_is_stated(stated_m, stated_s):
         squares.append(facts["normalised_square"])
         after.append(facts["normalised_square_after"])
         assert time_s == facts["time_s"]
+        times.append(time_s)
     low, high = band(20 * len(sizes))  # differences of errors that last 10 s
     assert low < np.mean(np.square(sizes)) / 0.03**2 < high
     assert low < np.mean(after) < high
+    if stated_s != 10.0:  # towards the true one
+        assert 0.0 < np.mean(np.log(np.divide(times, stated_s))) / np.log(10.0 / stated_s) < 1.3
     if stated_m == 0.015:
         assert np.mean(squares) > 2.0  # as stated it would not have been believed
     if stated_m == 0.06:
