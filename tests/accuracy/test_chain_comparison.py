@@ -1,5 +1,7 @@
 """INS, camera and fused trajectory side by side: numbers, ranges, crossings, and poses against the truth."""
 
+from itertools import pairwise
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -152,6 +154,12 @@ def test_a_file_of_the_table_says_the_same(chains, tmp_path):
     again = range_facts(pd.read_csv(tmp_path / "a.csv"))
     assert again["best_observed"] == range_facts(table)["best_observed"]
     assert again["classes"] == range_facts(table)["classes"]
+    rows = table[table["points"] == WITHOUT_OUTLIERS]
+    for name, runs in again["best_predicted"].items():
+        won = [r for first, last in runs for r in range(first, last + 1)]
+        assert won == rows.loc[rows["best_predicted"] == name, "range_m"].tolist()
+        assert all(last + 1 < first for (_, last), (first, _) in pairwise(runs))
+    assert max(last - first for runs in again["best_predicted"].values() for first, last in runs) > 1
 
 
 def test_the_published_budgets_cross_where_the_thesis_implies(repository, chains):

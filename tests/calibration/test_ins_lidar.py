@@ -182,6 +182,10 @@ def test_the_antenna_brings_millimetres(typical):
     assert np.all(without[:3] > 3 * with_it[:3])
     assert with_it[3:] == pytest.approx(without[3:], rel=0.02)
     assert normalised(typical.without_antenna) < chi2.ppf(0.9999, 6) / 6
+    table, unit = typical.summary(), np.r_[np.full(3, 1e3), np.full(3, 180 / np.pi)]
+    covariances = {"": typical.T_ics_scs.cov, "_formal": typical.cov_formal}
+    for name, cov in covariances.items():
+        assert table[f"sigma{name}"].to_numpy() == pytest.approx(np.sqrt(np.diag(cov)) * unit)
     # a shift of the antenna in scs shifts the scanner by as much the other way
     assert typical.by_antenna[:3] == pytest.approx(-typical.T_ics_scs.R, abs=0.15)
 

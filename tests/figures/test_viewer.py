@@ -80,7 +80,8 @@ def decoded(folder, key):
     return corner + (planes[:, 0] + 256 * planes[:, 1] + 0.5).T / 65536 * size, facts
 
 
-def test_each_point_stands_in_one_node_and_each_node_is_even(rng):
+def test_each_point_stands_in_one_node_and_each_node_is_even(rng, monkeypatch):
+    monkeypatch.setattr("thalweg.core.geometry.octree._AT_ONCE", 30_000)
     xyz = np.vstack([hills(), rng.normal(0, 0.3, (50_000, 3))])
     nodes = build_octree(xyz, len(xyz))
     rows = np.concatenate([node.rows for node in nodes])

@@ -4,7 +4,7 @@ import numpy as np
 
 from tests.images.block_scene import FRAME, predictions
 from thalweg.core import exp_rotation
-from thalweg.images.model import ImagePoses
+from thalweg.images.model import ImagePoses, predicted_sigmas
 
 
 def poses_of(rng: np.random.Generator, n: int = 5) -> ImagePoses:
@@ -48,6 +48,15 @@ def test_a_pose_carries_its_covariance(rng):
     T = poses.pose(2)
     np.testing.assert_allclose(T.cov, poses.cov_pose_wcs[2])
     np.testing.assert_allclose(T.apply([[0.0, 0.0, 0.0]])[0], poses.centre_wcs_m[2])
+
+
+def test_sigmas_of_predictions_are_lengths(rng):
+    """Of what is stated, three axes of 1, 2, 2 cm are 3 cm; the image without a pose does not count."""
+    poses = poses_of(rng)
+    poses.cov_pose_wcs[poses.oriented] = np.diag(np.square([0.01, 0.02, 0.02, 0.002, 0.003, 0.006]))
+    assert np.allclose(predicted_sigmas(poses), (0.03, 0.007))
+    poses.cov_pose_wcs[:] = np.nan
+    assert predicted_sigmas(poses) == (0.0, 0.0)
 
 
 def test_other_times_leave_the_poses(rng):

@@ -158,6 +158,9 @@ def test_sentences_without_pps(voyage):
     assert found.offset_s - true_offset_s(found.reference_s) == pytest.approx(late, abs=0.02)
     clock, report = with_stated_clock(voyage.reader, scan, stated)
     assert clock.sigma_s >= 0.2
+    moved = LidarClockStated(source="nmea", offset_s=0.25)
+    later, _ = with_stated_clock(voyage.reader, voyage.reader.scan(), moved)
+    assert np.subtract(later.gps_minus_device_s, clock.gps_minus_device_s) == pytest.approx(0.25)
     assert any("NMEA sentences that it received" in note for note in report.notes)
     assert LidarAccuracy().with_clock(clock.sigma_s).sigma_time_s == pytest.approx(clock.sigma_s)
 
