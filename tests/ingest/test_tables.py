@@ -52,6 +52,11 @@ def test_names_of_columns_tell_quantity_and_unit():
     assert column_of("depth_dbar").foreign == "dbar"
 
 
+def test_units_behind_numbers_count_before_that_of_the_column(read):
+    table = read("x,y,depth (cm)\n0,0,10 ft\n1,0,15.5D+01\n2,0,20 cm\n3,0,25\n4,0,0.3 fathom\n")
+    assert table.numbers(table.find("depth")) == pytest.approx([3.048, 1.55, 0.2, 0.25, 0.54864])
+
+
 def test_nothing_is_met_exactly():
     depths = [0.0, -9999.0, 999.0, 998.9, 3.4028235e38, np.nan, 2.5, -32768.0]
     assert is_nothing(depths, "depth").tolist() == [True, True, True, False, True, True, False, True]
