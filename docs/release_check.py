@@ -35,7 +35,7 @@ OTHERS: Final = {
     "mulde_quarter": ["docs/make_timings.py", "mulde_quarter"],
     "real": ["docs/make_real.py", "--workers", "2"],
     "mutants": ["tests/mutants/run.py", "--count", "150", "--minutes", "70"],  # 95 % of draws within 7 %
-    "benchmarks": ["-m", "pytest", "tests/benchmarks", "-m", "slow"],
+    "benchmarks": ["-m", "pytest", "tests/benchmarks", "-m", "slow", "-s"],
 }
 """Records that no file of config/studies describes: words for Python."""
 VERDICTS: Final = ("met", "consistent", "inside", "right")
