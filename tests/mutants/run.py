@@ -88,8 +88,8 @@ COMPILED_SHARE: Final = 1 / 3
 """Functions of modules that numba compiles get so much of their share: uncompiled they take longer."""
 LIMIT_S: Final = 150.0
 """CPU time of a child; the right code takes a third of it where numba's functions run uncompiled."""
-MAP_LIMIT_S: Final = 900.0
-"""CPU time of a file of tests while its lines are noted."""
+MAP_LIMIT_S: Final = 3600.0
+"""CPU time of a file of tests while its lines are noted: half an hour where kriging runs uncompiled."""
 KEPT: Final = REPOSITORY / ".pytest_cache/d/mutants"
 """Folder of the campaigns and of the lines that each of their jobs executes."""
 MEMORY_BYTES: Final = 8 * 2**30
