@@ -6,6 +6,7 @@ from dataclasses import replace
 from multiprocessing import get_context
 from pathlib import Path
 
+import laspy
 import numpy as np
 import pytest
 from PIL import Image
@@ -22,7 +23,8 @@ from thalweg_lab.studies.sensors.colours import EAST, START_S, poses_of, save_cl
 WIDTH, SIDE = 5376, 2688
 LIMIT_S = 4.0
 POINTS, PHOTOGRAPHS = 10_000_000, 180
-COLOURS_S, COLOURS_GB = 60.0, 2.0
+COLOURS_COPIES, COLOURS_GB = 15.0, 2.0
+"""Most time that colours take, in plain copies of the cloud by laspy; 7 to 8 were measured."""
 
 
 @pytest.mark.slow
@@ -68,6 +70,13 @@ def coloured(folder: Path, points: str, photographs: Photographs) -> tuple[float
     return took, turns.peak_gb()
 
 
+def copied(folder: Path, points: str) -> float:
+    """Seconds of the processor of a plain copy of a cloud."""
+    begin = time.process_time()
+    laspy.read(folder / points).write(folder / "copy.laz")
+    return time.process_time() - begin
+
+
 @pytest.mark.slow
 def test_ten_million_points_in_the_colours_of_180_photographs(tmp_path, rng):
     """A bank of 180 m, 8 to 12 m off, passed at 1 m/s with a photograph of 1.9 megapixels a second."""
@@ -94,6 +103,10 @@ def test_ten_million_points_in_the_colours_of_180_photographs(tmp_path, rng):
     with ProcessPoolExecutor(1, get_context("spawn")) as pool:
         pool.submit(coloured, tmp_path, "few.laz", photographs).result()  # compiles
         took, memory = pool.submit(coloured, tmp_path, "points.laz", photographs).result()
-    print(f"{POINTS:,} points, {PHOTOGRAPHS} photographs: {took:.1f} s of the processor, {memory:.2f} GB")
-    assert took <= COLOURS_S
+        copy = pool.submit(copied, tmp_path, "points.laz").result()
+    print(
+        f"{POINTS:,} points, {PHOTOGRAPHS} photographs: {took:.1f} s of the processor, {memory:.2f} GB; a "
+        f"copy by laspy {copy:.1f} s"
+    )
+    assert took <= COLOURS_COPIES * copy
     assert memory <= COLOURS_GB
