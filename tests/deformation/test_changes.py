@@ -117,6 +117,16 @@ def compared(before: Epoch, after: Epoch, settings: Deformation = SETTINGS) -> C
     return registered_distances(pair, register_pair(pair, settings))
 
 
+def test_the_sigma_that_an_epoch_reports_is_the_root_of_the_mean_square(rng):
+    """2 cm, and seven times as much in a quarter of the time: root of (3 + 49) / 4 times 2 cm."""
+    given = epoch(bank(rng, 50), sigma_m=0.02, sigma_rad=0.001)
+    position, attitude = given.groups
+    worse = np.where(np.arange(len(position.t_s)) < len(position.t_s) / 4, 7.0, 1.0)
+    given = replace(given, groups=(replace(position, root=position.root * worse[:, None, None]), attitude))
+    told = [group["sigma"] for group in given.report()["groups"]]
+    assert np.allclose(told, [[0.02 * np.sqrt(13.0)] * 3, [0.001] * 3])
+
+
 # ---------------------------------------------------------------- core points
 
 

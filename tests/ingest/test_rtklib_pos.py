@@ -228,6 +228,13 @@ def test_missing_header_is_said(read):
             + LINE,
             "without the position of its base",
         ),
+        (
+            HEAD.replace(
+                "latitude(deg) longitude(deg)  height(m)", "e-baseline n-baseline u-baseline"
+            ).replace("50.000000000   13.000000000   200.0000", "0.0 0.0 0.0")
+            + LINE,
+            r"without the position of its base \(ref pos '0.0 0.0 0.0'",
+        ),
     ],
 )
 def test_bad_input_has_a_message(read, text, fragment):
