@@ -1,6 +1,7 @@
 """A block that fell into pieces, and a track whose positions take the place of control points."""
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -89,7 +90,8 @@ def test_marks_of_a_table_belong_to_the_piece_of_their_image(survey, tmp_path):
     blocks = [piece(problem.block, range(14, N), turn=1.0), piece(problem.block, range(11), turn=0.5)]
     tables(tmp_path, problem)
     lost = int(((problem.marks.image >= 11) & (problem.marks.image < 14)).sum())
-    found = marks_of_pieces(
+    measured = partial(
+        marks_of_pieces,
         blocks,
         problem.control,
         predictions_of(truth),
@@ -98,10 +100,15 @@ def test_marks_of_a_table_belong_to_the_piece_of_their_image(survey, tmp_path):
         grey=lambda n: None,
         mask=lambda n: None,
     )
+    found = measured()
     assert found.counts["used"] == len(problem.marks.image) - lost
     assert found.counts["in images without a pose"] == lost
     assert len(found.table) == found.counts["used"]
     assert not found.table.duplicated(["image", "point"]).any()
+    # all marks in images of the main piece: the other one has none, and none is without a pose
+    late = problem.marks.image >= 14
+    tables(tmp_path, replace(problem, marks=problem.marks.chosen(late)))
+    assert measured().counts == {"used": late.sum()}
 
 
 def test_gaps_of_images_without_time_and_at_the_end(survey):

@@ -10,7 +10,7 @@ from tests.images import block_scene
 from thalweg.core import Camera, GeometryError, exp_rotation
 from thalweg.images import COLUMNS, Measured, measure_boards
 from thalweg.images.bundle import grey_loader, mask_loader
-from thalweg.images.control import _correlate
+from thalweg.images.control import _consistent, _correlate
 from thalweg.images.model import ControlPoints, ImageBlock
 from thalweg.settings.sections import ControlSettings
 
@@ -138,6 +138,28 @@ def test_a_point_surveyed_wrongly_is_named(pictures):
     assert any("T1 is 0." in note for note in found.notes)
     # its marks are those of the board, not of the survey
     assert np.abs(errors_px(found)).max() < 0.5
+
+
+def test_a_second_candidate_nearly_as_good_makes_a_mark_ambiguous():
+    """Less than 0.05 behind the mark in its image; the second board is seen in one image only."""
+    block, images, boards = block_of(), np.array([1, 2, 2]), [1, 1, 2]
+    at = block_scene.project(
+        block.cameras[0], block.R_block_ccs, block.centre_block_m, images, PLACES[boards]
+    )
+    sights = [
+        SimpleNamespace(
+            image=k,
+            point=point,
+            fitted=xy,
+            score=0.9,
+            reason="",
+            by_module=np.diag([9.0, 9.0]),
+            found=[(0.95, xy, 1), (second, xy + 30.0, 1)],
+        )
+        for k, point, xy, second in zip(images, boards, at, (0.84, 0.86, 0.3), strict=True)
+    ]
+    _consistent(block, sights, 4, BOARD)
+    assert [sight.reason for sight in sights] == ["", "ambiguous", "in one image only"]
 
 
 def test_masked_and_small_boards_are_counted(pictures):

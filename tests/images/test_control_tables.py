@@ -325,6 +325,8 @@ def test_marks_with_and_without_sigma(tmp_path):
     text += "IMG_2.JPG,A,7,8,,0.9,True,\nIMG_2.JPG,B,7,8,,0.5,False,ambiguous\n"
     marks, dropped = match(write(tmp_path, "marks.csv", text))
     assert marks.sigma_px.tolist() == [0.2, 0.5]
+    with pytest.raises(GeometryError, match="a standard deviation of 0 px"):
+        replace(marks, sigma_px=np.array([0.2, 0.0]))
     assert dropped == {"not to be used": 1}
     text = "image,point,x,y,sigma,enabled\nIMG_1.JPG,A,5,6,0.2,y\nIMG_2.JPG,B,7,8,0.3,0\n"
     marks, dropped = match(write(tmp_path, "m.csv", text))

@@ -167,6 +167,10 @@ def test_each_camera_of_a_block_has_its_calibration():
     assert {name: c.parameters[0] for name, c in both.items()} == {"left": 270.0, "right": 432.0}
     # 432 px are not of a calibration with 270 px
     assert list(interiors_of([block], PERSPECTIVE, {})) == ["left"]
+    # the innermost folder counts
+    deep = block_of(["right/100/1.jpg"], [0], (right,))
+    folders = {"right": LONG, "right/100": longer(1.7), "right/1": PERSPECTIVE}
+    assert interiors_of([deep], None, folders)["right"].parameters[0] == pytest.approx(1.7 * 270.0)
     assert main_camera((left, right), block).name == "right"
     table = camera_table([(left, right)], [block])
     assert table[["camera", "images", "first", "fx"]].values.tolist() == [

@@ -1,16 +1,19 @@
 """Images before their features, and features in parts."""
 
 import shutil
+from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from PIL import Image
 
+from tests.images.block_scene import without_points
 from tests.images.sfm_scene import photographs
-from thalweg.core import InputError
-from thalweg.images.model import inspect
+from thalweg.core import Camera, InputError
+from thalweg.images.model import Picture, inspect
 from thalweg.images.sfm import extract_features, part_of
-from thalweg.images.sfm.features import Features, join_features
+from thalweg.images.sfm.features import Features, join_features, to_the_rim
 from thalweg.settings.sections import FeatureSettings
 
 SETTINGS = FeatureSettings(max_features=400)
@@ -192,3 +195,54 @@ def test_pixels_count_from_the_corner_of_the_image(tmp_path, enlarged):
     assert len(close) >= len(at)
     # grey values are rounded to steps of 1/150 of the blob; half a pixel would be a wrong corner
     assert np.abs(np.median(close, axis=0)).max() < 0.1 * enlarged
+
+
+def test_marks_at_the_rim_are_of_points_that_are_expected_there():
+    """Eight points 90 degrees aside of the first picture, before the second one; the last four are two pairs
+    half a degree apart, 1.37 px at the rim."""
+    camera = Camera(
+        model="fisheye", size_px=(400, 400), parameters=np.r_[100.0, 100.0, 200.0, 200.0, np.zeros(4)]
+    )
+    a = np.deg2rad([-40, -30, -20, -10, 10, 10.5, 20, 20.5])
+    rim = 200 + 50 * np.pi * np.column_stack([np.cos(a), np.sin(a)])
+    own = np.random.default_rng(1).integers(20, 230, (8, 128))
+    own[5] = own[4] + 1
+    between = own[4] + np.tile([0, 12], 64)  # 96 from the one of a pair, 88 from the other
+    size, sigma = np.repeat([2.0, 4.0], 4), np.repeat([0.5, 1.0], 4)
+    seen = np.column_stack([np.full(8, 200.0), 200 + 100 * a]) + [0.48, 0.64] * sigma[:, None]
+    there = [  # of which point, off its place by px, descriptor
+        (0, [0, 1.5], own[0] + 2),
+        (0, [1, 0], own[0] + 4),
+        (1, [0, 0], 255 - own[1]),  # another thing
+        (2, [0, 3.5], own[2]),
+        (3, [2, 0], own[3] + 2),
+        (4, [0, 0], between),
+        (6, [0, 0], own[7] + 2),
+        (0, [-200, 0], own[0]),
+    ]
+    names = ("front/1.png", "front/2.png")
+    features = Features(
+        pictures=tuple(Picture(name=name, size_px=camera.size_px) for name in names),
+        start=np.array([0, 8, 16]),
+        place=np.column_stack(
+            [np.vstack([*(rim[k] + off for k, off, _ in there), seen]), np.r_[size, size]]
+        ).astype(np.float32),
+        descriptor=np.vstack([*(d for _, _, d in there), own]).astype(np.uint8),
+        settings=SETTINGS,
+    )
+    block = replace(
+        without_points(
+            (camera,), names, np.zeros((2, 3)), np.array([np.eye(3), [[0, 0, 1], [0, 1, 0], [-1, 0, 0]]])
+        ),
+        points_block_m=np.column_stack([10 * np.cos(a), 10 * np.sin(a), np.zeros(8)]),
+        mark_image=np.ones(8, np.int64),
+        mark_point=np.arange(8),
+        mark_px=seen,
+        sigma_px=sigma,
+    )
+    found = to_the_rim(block, features, SimpleNamespace(cameras={"front": camera}))
+    assert found.mark_image.tolist() == [1] * 8 + [0] * 3
+    assert found.mark_point[8:].tolist() == [0, 3, 7]
+    np.testing.assert_allclose(found.mark_px[8:], rim[[0, 3, 6]] + [[0, 1.5], [2, 0], [0, 0]], atol=1e-4)
+    # 3, 2 and 1.37 sigmas of their sizes off, where marks of the block are 0.8: 2.5 times in the median
+    assert found.sigma_px[8:] == pytest.approx([1.25, 2.5, 2.5], rel=1e-4)
