@@ -81,6 +81,12 @@ def test_a_flat_bed_leaves_x_and_y_to_the_ruler():
     assert found.observed == ("z",)
     assert "relief is missing" in found.not_observed["x"]
     assert np.sqrt(np.diag(found.cov_m2))[:2] == pytest.approx(SIGMA_RULER_M[:2], rel=0.03)
+    # the run alone, without the ruler
+    assert min(found.sigma_run[name] for name in "xy") > 2 * SIGMA_RULER_M.max()
+    # the ruler's height, and what is known of the lag, add their weights to those of the run
+    alone = 1 / found.cov_m2[2, 2] - 1 / SIGMA_RULER_M[2] ** 2
+    assert found.sigma_run["z"] == pytest.approx(alone**-0.5, rel=1e-4)
+    assert found.sigma_run["lag"] ** -2 == pytest.approx(found.sigma_lag_s**-2 - 0.05**-2, rel=0.02)
 
 
 def test_one_heading_on_slopes_misses_turns():

@@ -10,11 +10,12 @@ import numpy as np
 import pandas as pd
 import pytest
 from pyproj import CRS
+from scipy.spatial.transform import Rotation
 
 from tests.calibration.echo_runs import SIGMA_RULER_M, TRUE_LEVER_M, EchoRun, EchoSpec, make_echo_run
 from thalweg.bathymetry import Transducer, speed_of_sound_mps
 from thalweg.calibration import echo_sounder as files, resolve_mounts, write_mounts
-from thalweg.core import GeometryError, InputError, write_table
+from thalweg.core import GeometryError, InputError, rotation_enu_body, write_table
 from thalweg.core.calibration import read_calibration
 from thalweg.ingest import DEPTH
 from thalweg.settings.sections import Calibration, EchoSounder
@@ -183,6 +184,19 @@ def test_sizes_of_pose_errors_follow_the_trajectory_where_it_states_greater_ones
     found = files.settings_of(SETTINGS, worse, run.t_gps_s).errors.sigma_position_m
     assert found == pytest.approx([0.02, 0.02, 0.06])
     assert files.settings_of(SETTINGS, run.trajectory, run.t_gps_s).errors.sigma_position_m[2] == 0.03
+
+
+def test_soundings_of_a_heeled_boat_meet_the_bed_beside_it():
+    """Eastward, starboard 30 degrees down: forward is east; what is 0.5 m to starboard and 3.2 m down lies
+    0.5 cos 30 - 3.2 sin 30 = -1.167 m to the south. The last sounding has no pose."""
+    path = make_echo_run(4, EchoSpec(reach_m=12.0, duration_s=10.0)).trajectory
+    n, turn = len(path.t_gps_s), Rotation.from_matrix(rotation_enu_body(np.pi / 6, 0.0, np.pi / 2)).as_quat()
+    path = replace(
+        path, position_wcs_m=np.tile([10.0, 20.0, 5.0], (n, 1)), quaternion_wcs_ics=np.tile(turn, (n, 1))
+    )
+    t = path.t_gps_s[[5, n - 1]] + [0.0, 9.0]
+    places = files.places_of(path, t, np.array([3.0, 3.0]), np.array([1.0, 0.5, 0.2]))
+    assert places == pytest.approx(np.array([[11.0, 20.0 + 1.6 - 0.25 * np.sqrt(3)]]))
 
 
 def test_soundings_that_share_surveyed_points_share_their_errors():

@@ -50,6 +50,8 @@ def test_points_and_their_covariance(tmp_path):
     assert found.points == points().points
     np.testing.assert_array_equal(found.points_pcs, points().points_pcs)
     np.testing.assert_array_equal(found.cov, points().cov)
+    head = ["mark", "x_m", "y_m", "z_m", "sigma_x_m", "sigma_y_m", "sigma_z_m"]
+    assert path.read_text().splitlines()[0] == ",".join(head)
     first = covariance_file(path).read_bytes()
     write_points(path, points())
     assert covariance_file(path).read_bytes() == first

@@ -13,6 +13,7 @@ from thalweg.clocks.camera_offset import (
     OffsetState,
     _apart,
     _best,
+    _medians,
     _seen,
     at_the_end,
     find_start,
@@ -98,6 +99,11 @@ def test_the_best_offset_has_an_antenna_that_is_near_enough():
     # ... and fewer than eight images tell nothing
     assert _best(run.take(np.arange(7)), track(t), offsets, 1.01) is None
     assert _best(run.take(np.arange(8)), track(t), offsets, 1.01) == 1.3
+
+
+def test_medians_of_some_of_each_row():
+    inside = np.array([[1, 1, 1, 1], [1, 1, 0, 1], [0, 0, 1, 0]], dtype=np.bool_)
+    assert _medians(np.tile([4.0, 1.0, 9.0, 2.0], (3, 1)), inside).tolist() == [3.0, 2.0, 9.0]
 
 
 @pytest.mark.parametrize("offset_s", [-1.37, 0.0, 1.42])

@@ -1,9 +1,13 @@
 """What the geometry cannot give is named and refused (underwater.md, acceptance 10)."""
 
+from types import SimpleNamespace
+
+import numpy as np
 import pytest
 
 from tests.lightsheet.calibrate import lines
 from thalweg.core import UnobservableError
+from thalweg.core.adjustment import Linear, Observations
 from thalweg.lightsheet.calibration import CalibrationSettings, fit_sheet
 from thalweg.lightsheet.calibration.rank import (
     ABOUT_NORMAL,
@@ -12,6 +16,7 @@ from thalweg.lightsheet.calibration.rank import (
     IN_PLANE,
     FreeDirectionError,
     estimable_laser,
+    null_directions,
 )
 from thalweg.lightsheet.optics import PARAMETERS, paper_3, paper_4
 
@@ -67,6 +72,16 @@ def test_without_one_of_each_direction_it_works():
     assert fit(KNOWN_4, estimable_laser(KNOWN_4), 4).misfit_px < 0.16
     # P3 3.1.1 fixes omega of its laser, too
     assert estimable_laser(paper_3()) == tuple(name for name in SIX if name != "laser_omega_rad")
+
+
+def test_an_unknown_is_free_if_nothing_depends_on_it_however_small_the_dependence():
+    """Derivatives of 0.001 and 0.002 sigmas, and none."""
+    for b, free in ((2e-3, []), (0.0, [{"b": 1.0}])):
+        part = Linear(residual=np.zeros(2), jacobian=np.diag([1e-3, b]), cov=np.ones(2))
+        problem = SimpleNamespace(
+            free=("a", "b"), observations=lambda part=part: [Observations("line", lambda x: part)]
+        )
+        assert [d.change for d in null_directions(problem, np.zeros(2))] == free
 
 
 def test_several_defects_are_all_told():

@@ -9,10 +9,18 @@ from tests.bands import band
 from tests.lightsheet.scanning.conftest import visible_line
 from thalweg.core import GeometryError, InputError, Rigid, UnobservableError
 from thalweg.core.geometry import TriangleMesh
+from thalweg.lightsheet.lines import LineFlag
 from thalweg.lightsheet.optics import paper_4
 from thalweg.lightsheet.poses import factor
 from thalweg.lightsheet.scanning import merge, mesh_distances
-from thalweg.lightsheet.scanning.compare import align, check_lines, from_pairs, scan_against_mesh
+from thalweg.lightsheet.scanning.compare import (
+    Compared,
+    _by_brightness,
+    align,
+    check_lines,
+    from_pairs,
+    scan_against_mesh,
+)
 from thalweg.lightsheet.scanning.distances import border_effect, normality
 from thalweg.surface import Surface
 from thalweg_lab.tank import wreck
@@ -144,6 +152,22 @@ def test_bad_poses_are_found_and_only_those(scan, surface):
     assert (np.abs(on["mean_mm"]) < 4 * on["sigma_mean_mm"]).all()
     normals = normality(untouched.distance_mm)
     assert abs(normals["mean_mm"]) < 0.02
+
+
+@pytest.mark.parametrize("several", [3, -3])
+def test_three_over_exposed_points_are_set_apart_from_the_others(scan, surface, several):
+    """Three bright points among all, or three dark ones; with two, grey values part the points."""
+    found = scan_against_mesh(scan.cloud, surface, scan.T_obj_ccs)
+    on, cloud, d = np.flatnonzero(found.used), found.alignment.cloud, found.distance_mm
+    flags = np.zeros_like(cloud.flags)
+    flags[on[:several]] = LineFlag.SATURATED
+    cloud = replace(cloud, flags=flags, peak_dn=np.resize([60.0, 250.0], len(cloud)))
+    seen = Compared(cloud=cloud, distances=found.distances, check=found.check, facts={})
+    shift = d[:several].mean() - d[several:].mean()
+    assert _by_brightness(seen)[0]["shift_mm"] == pytest.approx(shift)
+    flags[on[2 if several > 0 else -3]] ^= LineFlag.SATURATED
+    grey = cloud.peak_dn[on] > 100.0
+    assert _by_brightness(seen)[0]["shift_mm"] == pytest.approx(d[grey].mean() - d[~grey].mean())
 
 
 def test_points_at_holes_of_the_reference_are_left_out(scan, reference):
