@@ -249,7 +249,10 @@ def test_headers_that_contradict_their_points(tmp_path):
 
 
 @pytest.mark.parametrize("rotation", [(0.0, 0.0, 0.0, 0.0), (0.3, 0.0, 0.0, 0.0), (0.9995, 0.0, 0.0, 0.0)])
-def test_a_quaternion_that_is_no_rotation_turns_nothing(tmp_path, rotation):
+def test_a_quaternion_that_is_no_rotation_turns_nothing(tmp_path, monkeypatch, rotation):
+    # pye57 leaves the text on coordinates empty
+    node, wkt = pye57.libe57.StringNode, CRS(2263).to_wkt()
+    monkeypatch.setattr(pye57.libe57, "StringNode", lambda file, text: node(file, text or wkt))
     path = tmp_path / "a.e57"
     local = points() - PLACE
     local[:4] = 0.0  # no return
@@ -258,6 +261,9 @@ def test_a_quaternion_that_is_no_rotation_turns_nothing(tmp_path, rotation):
     file.write_scan_raw(data, rotation=np.array(rotation), translation=PLACE)
     file.close()
     cloud = read_cloud(path)
+    # a map in feet, whose coordinates are metres by the standard
+    assert {axis.unit_name for axis in cloud.frame.axis_info} == {"metre"}
+    assert "Long Island" in cloud.frame.name
     assert cloud.points == pytest.approx(points()[4:], abs=1e-5)
     assert cloud.report.losses == {"points_at_the_scanner_itself": 4}
     assert any("no rotation" in text for text in cloud.report.notes) == (rotation[0] < 0.9)

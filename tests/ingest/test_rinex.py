@@ -103,6 +103,10 @@ def test_observation_2_with_continuation_lines(tmp_path):
     assert np.array_equal(np.diff(scan.t_gps_s), [1.0, 1.0])
     assert scan.n_satellite_records == 42
     assert not scan.losses
+    # a satellite without a letter is of the system of the file, in a mixed file of GPS
+    for head, system in (("R (GLONASS)", "GLO"), ("M (MIXED)", "GPS"), ("E (GALILEO)", "GAL")):
+        text = obs_2().replace("G (GPS)", head).replace("G", " ")
+        assert scan_rinex(write(tmp_path, "b.17o", text)).systems == (system,)
 
 
 @pytest.mark.parametrize(("scale", "offset_s"), [("GPS", 0.0), ("GAL", 0.0), ("BDT", 14.0), ("GLO", 18.0)])

@@ -201,10 +201,12 @@ def test_times_in_two_fields(bag):
     """Seconds since 1970 and nanoseconds of them, whatever the header says."""
     kinds = [("x", "f4"), ("y", "f4"), ("z", "f4"), ("time_sec", "u4"), ("time_nsec", "u4")]
     rows = np.array([(10, 0, 0, UNIX_S, 250_000_000), (10, 0, 0, UNIX_S + 1, 500_000_000)], kinds)
-    bag.cloud("/points", UNIX_S + 2, rows)
+    for late_s in (0.5, 10.0, 40.0):
+        bag.cloud("/points", UNIX_S + 1.5 + late_s, rows)
     reader, scan = bag.lidar()
     block = next(reader.points(scan.clock))
     assert block.t_gps_s - float(gps_from_unix(UNIX_S)) == pytest.approx([0.25, 1.5], abs=1e-6)
+    assert noted(scan, "The points are -10.0 s from their headers")
 
 
 def test_points_without_times_are_told(bag):

@@ -132,11 +132,12 @@ def test_residual_of_gps_time_belongs_to_its_epoch(read):
 
 
 def test_without_any_week_nothing_is_timed(read):
-    log = read(cov(TOW) + llh(TOW) + llh(TOW + 100))
+    log = read(cov(TOW) + llh(TOW) + utc(TOW, 55) + llh(TOW + 100))
     assert log.positions["t_gps_s"].isna().tolist() == [True]  # the better of the two message types
     assert not log.report.synchronised
     assert log.report.t_first_s is None
     assert noted(log, "No message states a valid GPS week")
+    assert "GPS - UTC" not in log.report.details
 
 
 def test_covariances_join_their_epoch(read):

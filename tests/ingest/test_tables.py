@@ -159,6 +159,14 @@ def test_decimal_commas_beside_whole_numbers(read):
     assert table.numbers(2).tolist() == [0.5, 1.0, 1.5]
 
 
+@pytest.mark.parametrize("between", ["  ", "\t", ", "])
+def test_decimal_commas_between_blanks(read, between):
+    rows = ("x y depth", "411980,5 5650000,2 0,5", "411982,5 5650000,4 1,0", "411984,5 5650000,6 1,5")
+    table = read("".join(f" {row.replace(' ', between)} \n" for row in rows))
+    assert table.numbers(0).tolist() == [411980.5, 411982.5, 411984.5]
+    assert table.numbers(2).tolist() == [0.5, 1.0, 1.5]
+
+
 def test_latin_1_is_read_and_said(read):
     table = read("x;y;z;Gewässer\n1;2;3;Weiße Elster\n", "latin-1")
     assert table.notes == ["The text is no UTF-8 and is read as Windows-1252 (Latin-1)."]

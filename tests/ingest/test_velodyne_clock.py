@@ -204,6 +204,15 @@ def test_hole_longer_than_an_hour(tmp_path, hours, hole_us):
     assert not scan.report.losses.get("clock_set_back")
     assert scan.report.gaps[0].t_start_s == pytest.approx(GPS_HOUR + a[-1] * 1e-6, abs=2e-6)
     assert any("longer than the packet stamps can tell" in n for n in scan.report.notes)
+    # files long before it in the wrong order change nothing of it
+    early = log.times(200, a[0] - 200 * 1327.104)
+    swapped = [
+        log.save(tmp_path / f"early_{k}", log.recording(early[k : k + 100], hour_unix=HOUR, seed=3))
+        for k in (100, 0)
+    ]
+    report = scan_lidar([*swapped, *files]).report
+    assert report.losses["files_out_of_order"] == 1
+    assert [gap.lost for gap in report.gaps] == [gap.lost for gap in scan.report.gaps]
 
 
 @pytest.mark.parametrize(("hole_s", "known"), [(2, True), (20, False)])

@@ -179,6 +179,9 @@ def test_parts_in_wrong_order_are_told_and_nothing_is_lost(tmp_path, order, earl
     # the packet stamps are whole microseconds
     assert report.t_first_s == pytest.approx(right.report.t_first_s, abs=2e-6)
     assert report.t_last_s == pytest.approx(right.report.t_last_s, abs=2e-6)
+    # one packet that is missing inside of the first part stays missing
+    (tmp_path / "part_0").write_bytes(log.pcap(parts[0][:5] + parts[0][6:]))
+    assert [gap.lost for gap in scan_lidar(files).report.gaps] == [1]
 
 
 def test_the_newest_packet_ends_the_recording(in_parts):
