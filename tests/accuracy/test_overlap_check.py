@@ -189,3 +189,8 @@ def test_reach_loses_no_point_within_the_distance(rng):
         sigma_m=np.zeros(3),
     )
     assert Reach(wide, 0.5).contains(np.array([[20.0, 20.0, 0.5]])).all()
+    # the middle is 40 m from each corner along an axis; a vertex of no triangle moves the cells
+    for away_m in range(0, 200, 5):
+        corners = np.vstack([60.0 * np.eye(3), np.full(3, -float(away_m))])
+        even = replace(wide, vertices_m=corners, sigma_m=np.zeros(4))
+        assert Reach(even, 0.5).contains(np.full((1, 3), 20.0)).all()

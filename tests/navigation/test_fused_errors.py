@@ -75,6 +75,7 @@ def test_fixed_values_stay_and_the_rest_is_estimated():
     assert found.settings.attitude_time_s == 20.0
     assert found.solved.factors["gnss"] == found.solved.factors["gnss_white"]
     assert "gnss_time_s" in found.errors.priors
+    assert {"velocity", "velocity_time_s", "acceleration"} - set(found.errors.priors) == {"acceleration"}
 
 
 def test_points_have_the_mean_and_the_covariance():

@@ -50,6 +50,7 @@ def test_only_the_steps_of_the_gap_walk_more():
     t, walk = found.nodes.t_gps_s, found.nodes.walk
     inside = (t > begin + 1e-6) & (t < end + 1e-6)
     assert (found.nodes.kind[1:] == MODEL).all()
+    assert {"velocity", "velocity_time_s", "acceleration"} & set(found.errors.priors) == {"acceleration"}
     assert (walk[~inside & (t > t[0] + 5) & (t < t[-1] - 5)] == 1.0).all()
     # the boat turns in the plane, in height it stays on the water
     assert walk[inside, :2].max() > 2.0
