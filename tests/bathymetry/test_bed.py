@@ -457,7 +457,12 @@ def test_a_river_that_is_deeper_where_it_is_narrower_says_so():
     deep = dict(zip(range(6), chosen.drift.coefficients, strict=True))
     assert deep[4] + deep[5] < -1.0  # metres in the middle of the river for a narrowness of one
     between = np.column_stack([s + 50.0, q * widths(s + 50.0)[0]])[s < 800]
-    error = chosen.predict(data, between, neighbours=48)[0] - true_m(between[:, 0], q[s < 800])
+    height, sigma = chosen.predict(data, between, neighbours=48)
+    error = height - true_m(between[:, 0], q[s < 800])
+    beside = [chosen.predict(data, between + step, neighbours=48)[0] for step in ([0.5, 0.0], [0.0, 0.5])]
+    slope = np.hypot(*(np.array(beside) - height)) / 0.5
+    with_slope = chosen.predict_slope(data, between, neighbours=48, step_m=0.5)
+    np.testing.assert_allclose(with_slope, (height, sigma, slope), rtol=1e-9)
     plain = choose_model(
         data, widths, Bathymetry(model="exponential", drift="section"), slow_time_s=0.0, seed=1
     )

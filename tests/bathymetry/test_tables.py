@@ -63,6 +63,8 @@ def river(tmp_path_factory):
     table["sigma"] = 0.03
     table["leg"] = np.floor((s + 5) / 10).astype(int)
     table.to_csv(folder / "soundings.csv", index=False, float_format="%.4f")
+    order = np.argsort(table["leg"] * 7 % 29, kind="stable")  # lines one after the other, but in no order
+    table.iloc[order].to_csv(folder / "shuffled.csv", index=False, float_format="%.4f")
     table[["east", "north", "h"]].to_csv(folder / "bare.xyz", sep=" ", index=False, header=False)
     at = np.arange(30.0, 280.0, 5.0)
     banks = {side: line.to_map(at, sign * HALF_M).tolist() for side, sign in (("left", 1), ("right", -1))}
@@ -145,6 +147,7 @@ def test_the_bed_between_two_bank_lines(river, tmp_path, monkeypatch):
     assert 0.4 < facts["normalised_square"] < 1.4  # one observation, as above: 0.72
     assert facts["outside_95"] < 0.12
     methods = pd.read_csv(tmp_path / "methods.csv").set_index("method")["rmse_m"]
+    assert (tmp_path / "predicted.csv").read_text().split(",")[0]  # no column of row numbers
     assert methods["kriging"] < methods["inverse distance"]
     picture = plt.imread(tmp_path / "bed.png")
     assert picture.shape[1] > 1000
@@ -166,9 +169,14 @@ def test_banks_with_sides_as_polygon_or_none_give_the_same_bed(river, tmp_path, 
             "--centre-line",
             str(river / "centre.csv"),
         ),
-        "none": made(river, tmp_path / "d", *words),
+        "none": made(river, tmp_path / "d", *words, table="shuffled.csv"),
     }
     assert all(facts["true_rms"] < 0.12 for facts in several.values()), several
+    places = pd.read_csv(tmp_path / "d/centre_line.csv").to_numpy()
+    s, n, _ = meander().to_flow(places)
+    assert (
+        np.abs(n[(s > 60) & (s < 250)]).max() < 1.5
+    )  # through the middles of the lines, one after the other
     # without banks the bed ends where the soundings do
     assert several["none"]["n_most"] < 9.5 < several["water"]["n_most"]
 

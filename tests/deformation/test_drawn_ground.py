@@ -24,6 +24,8 @@ from thalweg.deformation import (
     register_pair,
     series_of_epochs,
 )
+from thalweg.deformation.drawn_ground import field_with
+from thalweg.deformation.field import ErrorField
 from thalweg.deformation.foreign import ForeignEpoch, difference_of_models, notes_of_pair, with_drawn_areas
 from thalweg.settings.sections import Deformation, Epoch as Statement
 from thalweg.surface import Area
@@ -163,6 +165,16 @@ def test_sigma_comes_from_areas_and_holds_its_interval(tmp_path):
     assert 52 <= sum(within) <= 60  # of 60 at 95 %
     # 3 cm / sqrt(6), widened for five degrees of freedom
     assert np.median(sigmas) == pytest.approx(0.03 / np.sqrt(6.0) * 2.571 / 1.96, rel=0.25)
+
+
+def test_errors_that_ground_shows_are_alike_over_their_length_wherever_the_frame_begins():
+    """One error for each of two epochs: places 2 m apart share it, places 60 m apart do not."""
+    places = np.array([[0.0, 5000.0, 1.0], [2.0, 5000.0, 1.0], [60.0, 5000.0, 1.0]])
+    facts = {"estimated": {"sigma_m": 0.02, "correlation_m": 10.0}}
+    field = field_with(ErrorField((), ()), places, np.tile([0.0, 0.0, 1.0], (3, 1)), facts, 2)
+    alone, near, far = field.combined(np.array([[1, 0, 0], [1, 1, 0], [1, 0, 1]])).variances() / (2 * 0.02**2)
+    assert (alone, far) == pytest.approx((1.0, 2.0), rel=0.02)
+    assert near == pytest.approx(2.0 + 2.0 * np.exp(-0.2), rel=0.05)  # in cells of an eighth of the length
 
 
 def test_two_areas_without_a_stated_sigma_give_no_verdict(tmp_path):
