@@ -204,15 +204,28 @@ def test_hole_longer_than_an_hour(tmp_path, hours, hole_us):
     assert not scan.report.losses.get("clock_set_back")
     assert scan.report.gaps[0].t_start_s == pytest.approx(GPS_HOUR + a[-1] * 1e-6, abs=2e-6)
     assert any("longer than the packet stamps can tell" in n for n in scan.report.notes)
-    # files long before it in the wrong order change nothing of it
-    early = log.times(200, a[0] - 200 * 1327.104)
-    swapped = [
-        log.save(tmp_path / f"early_{k}", log.recording(early[k : k + 100], hour_unix=HOUR, seed=3))
-        for k in (100, 0)
-    ]
-    report = scan_lidar([*swapped, *files]).report
+    assert scan.report.t_last_s == pytest.approx(GPS_HOUR + b[-1] * 1e-6, abs=2e-6)
+    if hole_us:  # in one file the stamps must tell where the hole is
+        one = scan_lidar([log.save(tmp_path / "one", log.recording(np.r_[a, b], hour_unix=HOUR))]).report
+        assert (one.t_first_s, one.t_last_s, one.gaps) == (
+            scan.report.t_first_s, scan.report.t_last_s, scan.report.gaps
+        )  # fmt: skip
+    # a file out of order that lies in the hole shortens it
+    early = log.times(50, b[0] - 80 * 1327.104)
+    between = log.save(tmp_path / "between", log.recording(early, hour_unix=HOUR, seed=4))
+    report = scan_lidar([*files, between]).report
     assert report.losses["files_out_of_order"] == 1
-    assert [gap.lost for gap in report.gaps] == [gap.lost for gap in scan.report.gaps]
+    assert [gap.lost for gap in report.gaps] == [scan.report.gaps[0].lost - 80, 30]
+    # files before it in the wrong order, long or right before it, change nothing of it
+    early = log.times(200, a[0] - 200 * 1327.104)
+    for t, rest in ((early, files), (a, files[1:])):
+        swapped = [
+            log.save(tmp_path / f"half_{k}", log.recording(half, hour_unix=HOUR, seed=3))
+            for k, half in enumerate(np.split(t, 2))
+        ]
+        report = scan_lidar([*swapped[::-1], *rest]).report
+        assert report.losses["files_out_of_order"] == 1
+        assert report.gaps == scan.report.gaps
 
 
 @pytest.mark.parametrize(("hole_s", "known"), [(2, True), (20, False)])

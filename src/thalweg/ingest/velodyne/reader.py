@@ -15,7 +15,7 @@ from typing import Final
 
 import numpy as np
 
-from thalweg.core import ArrayF, ArrayI, InputError, UnsupportedError, unix_from_gps
+from thalweg.core import AnyArray, ArrayB, ArrayF, ArrayI, InputError, UnsupportedError, unix_from_gps
 from thalweg.ingest import (
     Gap,
     IntegrityReport,
@@ -41,11 +41,20 @@ from thalweg.ingest.velodyne.decode import (
     count_points,
     decode,
 )
-from thalweg.ingest.velodyne.model import DUAL, MODELS, RETURN_MODES, VLP16, Model, choose_model, product_name
+from thalweg.ingest.velodyne.model import (
+    DUAL,
+    MODELS,
+    RETURN_MODES,
+    STRONGEST,
+    VLP16,
+    Model,
+    choose_model,
+    product_name,
+)
 from thalweg.ingest.velodyne.packets import (
     BAD_STAMP,
     DUPLICATE,
-    GAP,
+    GAP_STEPS,
     LATE,
     STEP_BACK,
     UNUSABLE,
@@ -94,7 +103,8 @@ def write_timing(
     locked = np.isfinite(offset_s).tolist()
     step_s = found.model.packet_s(max(found.modes))
     # a jump by which the sensor set its clock within a stretch is no time
-    set_s = {h.packet: h.jump_us * 1e-6 - step_s for h in found.holes if h.packet in builder.clock_set}
+    runs = found.runs.table
+    set_s = {int(run["packet"]): run["jump_us"] * 1e-6 - step_s for run in runs[found.clock_set(builder)]}
     lengths = [
         max(b - a - sum(jump for k, jump in set_s.items() if first < k < end), 0.0)
         for a, b, first, end in zip(
@@ -151,108 +161,82 @@ def _write_host(report: IntegrityReport, host: ArrayF, clock: LidarClock) -> Non
             break
 
 
-# ---------------------------------------------------------------- the parts of a Velodyne recording, one a
-# file, and whether they were given in the order of time
+# ---------------------------------------------------------------- what a recording covers, and whether its
+# files were given in the order of time
 
 
 ORDER_S: Final = 0.1
 """Packets that the network has delivered in another order are closer together than this."""
 
-
-@dataclass(slots=True)
-class Part:
-    """Packets kept of one file, or of what follows behind a clock that was set back inside of one.
-
-    Attributes
-    ----------
-    file : number of the file that begins here, -1 inside of a file.
-    packet : index of the first packet kept.
-    jump_us : its distance from the newest packet before.
-    event : its event, see `velodyne_packets`.
-    first_us, newest_us : oldest and newest unrolled stamp.
-    n : packets kept.
-    """
-
-    file: int
-    packet: int
-    jump_us: int
-    event: int
-    first_us: int
-    newest_us: int
-    n: int = 0
+_RUN: Final = np.dtype([
+    (name, np.int64)
+    for name in ("packet", "first_us", "last_packet", "last_us", "mode", "file", "event", "jump_us")
+])  # fmt: skip
+"""Index and unrolled stamp of the first and of the last packet of a run, return mode of the last; number of
+the file that begins with it, -1 inside of a file; event of the first, see `velodyne.packets`, and its
+distance from the newest packet before."""
 
 
 @dataclass(slots=True)
-class Parts:
-    """Parts of a recording, in the order given, that grow while packets stream by.
+class Runs:
+    """Runs of packets without a hole that grow while packets stream by; a late packet is one by itself.
 
-    ``file_starts`` is the list of the packet stream: index of the first data packet of each file.
+    ``file_starts`` is the list of the packet stream: index of the first data packet of each file. ``table``
+    holds the runs in stream order, see `_RUN`.
     """
 
     file_starts: list[int] = field(default_factory=list)
-    parts: list[Part] = field(default_factory=list)
+    table: AnyArray = field(default_factory=lambda: np.empty(0, _RUN))
+    _open: int = 0
+    """The run that packets in the order of time prolong."""
     _file: int = -1
 
     def feed(self, block: PacketBlock, keep: ArrayI) -> None:
         """Take in the next block, of which the rows ``keep`` are used."""
-        number = np.searchsorted(self.file_starts, block.first_packet + keep, side="right") - 1
-        begins = np.diff(number, prepend=self._file) != 0
-        edges = np.flatnonzero(begins | (block.event[keep] == STEP_BACK))
-        for rows in np.split(np.arange(keep.size), edges):
-            if not rows.size:
-                continue
-            first, row, t_us = rows[0], int(keep[rows[0]]), block.t_us[keep[rows]]
-            oldest, newest = int(t_us.min()), int(t_us.max())
-            if first in edges:
-                packet, jump_us = block.first_packet + row, int(block.jump_us[row])
-                event, file = int(block.event[row]), int(number[first]) if begins[first] else -1
-                self.parts.append(Part(file, packet, jump_us, event, oldest, newest))
-            part = self.parts[-1]
-            part.first_us, part.newest_us = min(part.first_us, oldest), max(part.newest_us, newest)
-            part.n += rows.size
-            self._file = int(number[rows[-1]])
+        file = np.searchsorted(self.file_starts, block.first_packet + keep, side="right") - 1
+        begins, event = np.diff(file, prepend=self._file) != 0, block.event[keep]
+        starts, on_time = begins | (event >= LATE), event != LATE
+        first = keep[starts]
+        runs = np.empty(first.size, _RUN)
+        runs["packet"] = runs["last_packet"] = block.first_packet + first
+        runs["first_us"] = runs["last_us"] = block.t_us[first]
+        runs["mode"], runs["event"] = block.payload[first, 1204], block.event[first]
+        runs["file"], runs["jump_us"] = np.where(begins, file, -1)[starts], block.jump_us[first]
+        run = np.r_[self._open, self.table.size + np.flatnonzero(on_time[starts])]
+        last = np.r_[np.flatnonzero(starts[on_time]), np.count_nonzero(on_time)] - 1
+        run, last = run[last >= 0], keep[on_time][last[last >= 0]]
+        self.table = np.concatenate([self.table, runs])
+        self.table["last_packet"][run], self.table["last_us"][run] = (
+            block.first_packet + last,
+            block.t_us[last],
+        )
+        self.table["mode"][run] = block.payload[last, 1204]
+        self._open, self._file = int(run[-1]) if run.size else self._open, int(file[-1])
 
-    def early(self, clock: LidarClock) -> list[tuple[Part, float]]:
-        """Files that begin before the end of the one before, and by how many seconds.
+    def spans_s(self, clock: LidarClock) -> tuple[ArrayF, ArrayF, ArrayF]:
+        """Begin and end (n,) of the runs in device time, and time from the newest packet before each."""
+        t, extra_s = self.table, clock.extra_s
+        first_s = t["first_us"] * 1e-6 + extra_s(t["packet"])
+        last_s = t["last_us"] * 1e-6 + extra_s(t["last_packet"])
+        return first_s, last_s, t["jump_us"] * 1e-6 + extra_s(t["packet"]) - extra_s(t["packet"] - 1)
+
+    def early(self, jump_s: ArrayF) -> ArrayB:
+        """Runs (n,) that begin a file before the end of the one before it; ``jump_s`` is that of `spans_s`.
 
         Packets that both files hold are none: they are dropped before.
         """
-        found = []
-        for part in self.parts:
-            if part.file > 0 and part.event in (LATE, STEP_BACK):
-                extra_s = clock.extra_s(np.array([part.packet - 1, part.packet]))
-                ahead_s = -part.jump_us * 1e-6 - float(extra_s[1] - extra_s[0])
-                if ahead_s > ORDER_S:
-                    found.append((part, ahead_s))
-        return found
+        turned = (self.table["event"] == LATE) | (self.table["event"] == STEP_BACK)
+        return (self.table["file"] > 0) & turned & (jump_s < -ORDER_S)
 
     def newest_s(self, clock: LidarClock) -> float:
         """Device time of the newest packet, since the clock was last set back inside a file."""
-        inside = [i for i, part in enumerate(self.parts) if part.file < 0]
-        parts = self.parts[inside[-1] if inside else 0 :]
-        return max(p.newest_us * 1e-6 + _extra_s(clock, p) for p in parts)
-
-    def first_s(self, clock: LidarClock) -> tuple[float, float]:
-        """Oldest device time and oldest GPS time (NaN if unsynchronised) at the begin of a part."""
-        device = [p.first_us * 1e-6 + _extra_s(clock, p) for p in self.parts]
-        offset = clock.offset_s(np.array([p.packet for p in self.parts]))
-        gps = np.array(device) + offset
-        known = gps[np.isfinite(gps)]
-        return min(device), float(known.min()) if known.size else float("nan")
-
-    def within(self, start_us: int, stop_us: int) -> int:
-        """Packets of the parts that lie as a whole between two stamps."""
-        return sum(p.n for p in self.parts if start_us < p.first_us and p.newest_us < stop_us)
-
-
-def _extra_s(clock: LidarClock, part: Part) -> float:
-    return float(clock.extra_s(np.array([part.packet]))[0])
+        inside = np.flatnonzero((self.table["event"] == STEP_BACK) & (self.table["file"] < 0))
+        return float(self.spans_s(clock)[1][inside[-1] if inside.size else 0 :].max())
 
 
 # ---------------------------------------------------------------- report
 
 
-_RECENT_GAPS = 64
 _NAMED = 10
 _SILENCE_S = 10.0
 _EVENT_LOSSES = {
@@ -260,19 +244,7 @@ _EVENT_LOSSES = {
     DUPLICATE: "duplicate_packets",
     BAD_STAMP: "packets_with_wrong_stamp",
     LATE: "out_of_order_packets",
-    STEP_BACK: "clock_set_back",
 }
-
-
-@dataclass(slots=True)
-class Hole:
-    """Missing packets: the packet behind it, its end on the unrolled clock, its length, packets lost."""
-
-    packet: int
-    end_us: int
-    jump_us: int
-    lost: int
-    step_s: float
 
 
 @dataclass(slots=True)
@@ -293,18 +265,21 @@ class Findings:
     """Steps of less than a second from packet to packet, and their sum."""
     step_counts: ArrayI = field(default_factory=lambda: np.zeros(LONGEST_STEP_US + 1, dtype=np.int64))
     """How often each step in microseconds occurred; the last entry holds all longer ones."""
-    holes: list[Hole] = field(default_factory=list)
     first: tuple[int, int] = (0, 0)
     last: tuple[int, int] = (0, 0)
     """Index and unrolled stamp of the first and of the last packet kept that was not late."""
     host: list[ArrayF] = field(default_factory=list)
     """Index, unrolled stamp and host stamp (n, 3) of some packets of each piece."""
-    parts: Parts = field(default_factory=Parts)
+    runs: Runs = field(default_factory=Runs)
 
     @property
     def product(self) -> int:
         """Most frequent product byte."""
         return self.products.most_common(1)[0][0]
+
+    def clock_set(self, builder: ClockBuilder) -> ArrayB:
+        """Runs (n,) before which the sensor set its clock on locking."""
+        return np.isin(self.runs.table["packet"], list(builder.clock_set))
 
     @property
     def return_mode(self) -> str:
@@ -333,25 +308,11 @@ class Findings:
             newest = keep[block.event[keep] != LATE]
             if newest.size:
                 self.last = (block.first_packet + int(newest[-1]), int(block.t_us[newest[-1]]))
-            self.parts.feed(block, keep)
+            self.runs.feed(block, keep)
             some = keep[(block.first_packet + keep) % _PACKETS_A_PAIR == 0]
             some = some[np.isfinite(block.t_host_s[some])]
             pairs = [block.first_packet + some, block.t_us[some], block.t_host_s[some]]
             self.host.append(np.column_stack(pairs).astype(np.float64))
-        for i in np.flatnonzero((block.event == GAP) | (block.event == LATE) | (block.event == STEP_BACK)):
-            self._hole(block, int(i))
-
-    def _hole(self, block: PacketBlock, i: int) -> None:
-        t_us, jump_us = int(block.t_us[i]), int(block.jump_us[i])
-        if block.event[i] != LATE:
-            step_s = self.model.packet_s(int(block.payload[i, 1204]))
-            lost = round(jump_us * 1e-6 / step_s) - 1
-            self.holes.append(Hole(block.first_packet + i, t_us, jump_us, lost, step_s))
-            return
-        for hole in self.holes[-_RECENT_GAPS:]:
-            if hole.end_us - hole.jump_us < t_us < hole.end_us:
-                hole.lost -= 1
-        self.holes[-_RECENT_GAPS:] = [h for h in self.holes[-_RECENT_GAPS:] if h.lost > 0 or h.jump_us < 0]
 
 
 def _add(counter: Counter[int], values: "np.typing.NDArray[np.integer]") -> None:
@@ -522,7 +483,7 @@ def _write_times(
     """Span and synchronisation; returns the ends of the clock's stretches on the device's clock."""
     ends = [*clock.first_packet[1:], found.n_packets]
     device = [s.t_us * 1e-6 + s.extra_s for s in builder.stretches]
-    last_s = found.parts.newest_s(clock)
+    last_s = found.runs.newest_s(clock)
     stops = [after.before_us * 1e-6 + s.extra_s for s, after in pairwise(builder.stretches)] + [last_s]
     locked = [not math.isnan(v) for v in clock.gps_minus_device_s]
     report.synchronised = any(locked)
@@ -561,28 +522,23 @@ def _write_times(
 
 
 def _write_order(report: IntegrityReport, found: Findings, clock: LidarClock) -> None:
-    """Name the files that were given in another order than that of time; what they fill is no hole."""
-    early = found.parts.early(clock)
-    if not early:
+    """Name the files that were given in another order than that of time."""
+    runs = found.runs.table
+    first_s, _, jump_s = found.runs.spans_s(clock)
+    early = found.runs.early(jump_s)
+    if not early.any():
         return
     named = ", ".join(
-        f"{Path(report.files[part.file]).name} begins {ahead_s:.3f} s before the end of the file before it"
-        for part, ahead_s in early[:_NAMED]
+        f"{Path(report.files[file]).name} begins {ahead_s:.3f} s before the end of the file before it"
+        for file, ahead_s in zip(runs["file"][early][:_NAMED], -jump_s[early], strict=False)
     )
     report.note(
         f"Files out of order: list them in order of time ({named}). If the order is right, "
         "the sensor's clock was set back between the files, or they lie more than half an hour apart."
     )
-    report.lose("files_out_of_order", len(early))
-    for _ in (part for part, _ in early if part.event == STEP_BACK):
-        _undo_set_back(report)
-    device_s, gps_s = found.parts.first_s(clock)
-    first_s = gps_s if report.synchronised else device_s
-    if report.t_first_s is not None and first_s < report.t_first_s:
-        report.t_first_s = first_s
-    for hole in found.holes:
-        hole.lost -= found.parts.within(hole.end_us - hole.jump_us, hole.end_us) if hole.jump_us > 0 else 0
-    found.holes = [hole for hole in found.holes if hole.lost > 0 or hole.jump_us < 0]
+    report.lose("files_out_of_order", np.count_nonzero(early))
+    offset_s = clock.offset_s(runs["packet"]) if report.synchronised else 0.0
+    report.t_first_s = float(np.fmin.reduce(np.r_[report.t_first_s, first_s + offset_s]))  # NaN: not known
 
 
 def _why(builder: ClockBuilder, position_port: int) -> str:
@@ -619,43 +575,32 @@ def _write_counts(
 
 
 def _write_gaps(report: IntegrityReport, found: Findings, builder: ClockBuilder, clock: LidarClock) -> None:
-    """List the holes, on GPS time if the report is on it (NaN where it is not known)."""
-    holes = {hole.packet: hole for hole in found.holes}
-    step_s = found.model.packet_s(max(found.modes))
-    for before, after in pairwise(builder.stretches):
-        if after.extra_s > before.extra_s and after.first not in holes:
-            holes[after.first] = Hole(after.first, after.t_us, round(step_s * 1e6), 0, step_s)
-    for packet, hole in sorted(holes.items()):
-        if packet in builder.clock_set:
-            if hole.jump_us < 0:
-                _undo_set_back(report)
-            report.note(
-                f"The sensor set its clock by {hole.jump_us * 1e-6:+.6f} s (whole hours apart) before packet "
-                f"{packet}, when it locked to the PPS; no packet is taken to be missing there."
-            )
-            continue
-        around = np.array([packet - 1, packet])
-        extra_s = clock.extra_s(around)
-        hidden_s = float(extra_s[1] - extra_s[0])
-        duration_s = hole.jump_us * 1e-6 + hidden_s
-        if duration_s <= 0:
-            continue  # the clock was set back: counted as such, nothing is missing
-        if hole.jump_us < 0:
-            _undo_set_back(report)
-        start_s = (hole.end_us - hole.jump_us) * 1e-6 + float(extra_s[0])
-        if report.synchronised:
-            start_s += float(clock.offset_s(around)[0])
-        lost = hole.lost + round(hidden_s / hole.step_s)
-        report.gaps.append(Gap(t_start_s=start_s, duration_s=duration_s, lost=lost))
-    lost = sum(gap.lost for gap in report.gaps)
-    report.lose("packets_lost_estimated", lost)
-
-
-def _undo_set_back(report: IntegrityReport) -> None:
-    """Take back a loss that turned out to be none."""
-    report.losses["clock_set_back"] -= 1
-    if not report.losses["clock_set_back"]:
-        del report.losses["clock_set_back"]
+    """List the holes that no packet fills, on GPS time if the report is on it (NaN where it is not known)."""
+    runs, clock_set = found.runs.table, found.clock_set(builder)
+    first_s, last_s, jump_s = found.runs.spans_s(clock)
+    for run in runs[clock_set]:
+        report.note(
+            f"The sensor set its clock by {run['jump_us'] * 1e-6:+.6f} s (whole hours apart) before packet "
+            f"{run['packet']}, when it locked to the PPS; no packet is taken to be missing there."
+        )
+    back = (runs["event"] == STEP_BACK) & (jump_s <= 0) & ~clock_set & ~found.runs.early(jump_s)
+    report.lose("clock_set_back", np.count_nonzero(back))
+    step_s = np.where(runs["mode"] == DUAL, found.model.packet_s(DUAL), found.model.packet_s(STRONGEST))
+    # a clock that was set tells nothing of the time between what came before and what came after
+    for rows in np.split(np.arange(runs.size), np.flatnonzero(clock_set | back)):
+        # late packets before all others are of another time, such as a clock set back right before the end
+        rows = rows[(runs["event"][rows] != LATE) | (first_s[rows] > first_s[rows[:1]])]
+        rows = rows[np.argsort(first_s[rows], kind="stable")]
+        newest_s = np.maximum.accumulate(last_s[rows])
+        newest = rows[np.maximum.accumulate(np.where(last_s[rows] == newest_s, np.arange(rows.size), 0))]
+        length_s = first_s[rows[1:]] - newest_s[:-1]
+        for i in np.flatnonzero(length_s > GAP_STEPS * step_s[newest[:-1]]):
+            start_s = newest_s[i]
+            if report.synchronised:
+                start_s += clock.offset_s(runs["last_packet"][newest[[i]]])[0]
+            lost = round(length_s[i] / step_s[newest[i]]) - 1
+            report.gaps.append(Gap(t_start_s=float(start_s), duration_s=float(length_s[i]), lost=lost))
+    report.lose("packets_lost_estimated", sum(gap.lost for gap in report.gaps))
 
 
 # ---------------------------------------------------------------- the reader
@@ -741,7 +686,7 @@ def scan_lidar(
         raise InputError("no lidar files", expected="at least one log", cure="Set logs.lidar")
     model = _first_model(paths, options, chunk_bytes)
     tally, clock, findings = StreamTally(), ClockBuilder(), Findings(model)
-    clock.file_starts = findings.parts.file_starts = tally.file_starts
+    clock.file_starts = findings.runs.file_starts = tally.file_starts
     counters = np.zeros(N_COUNTERS, dtype=np.int64)
     n_points = 0
     for block in read_packets(paths, options, model, tally=tally, chunk_bytes=chunk_bytes):
