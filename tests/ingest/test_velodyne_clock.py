@@ -164,6 +164,24 @@ def test_lock_lost_in_the_middle(times_of):
     assert any("Unsynchronised for 0.131 s, from 1.145" in n for n in scan.report.notes)
 
 
+@pytest.mark.parametrize("pps", [0, 2])
+@pytest.mark.parametrize("other_pps", [0, 2])
+def test_position_packets_of_another_lidar_tell_nothing(times_of, pps, other_pps):
+    """Two lidars of a boat send data to a port each, and both their position packets to the same one."""
+    stamps = log.times(100)
+    ahead = log.position_packet(stamps[0] + 5e5, other_pps, log.rmc(HOUR + 1.1))
+    frames = []
+    for frame in log.recording(stamps, hour_unix=HOUR, every=10, pps=lambda k: pps):
+        other = log.udp(log.data_packets(stamps[:1])[0], 2369, sender=(192, 168, 1, 202))
+        frames += [frame, log.ethernet(other)]
+        frames.append(log.ethernet(log.udp(ahead, 8308, sender=(192, 168, 1, 202))))
+    gps, _, scan = times_of(frames)
+    assert_gps(gps, stamps if pps else np.full(100, np.nan))
+    assert scan.report.counts["position_packets"] == 10
+    assert scan.report.counts["position_packets_of_other_senders"] == 110
+    assert any("110 payloads of the same size went to UDP port 2369" in n for n in scan.report.notes)
+
+
 def test_first_position_packet_comes_late(times_of):
     stamps = log.times(6000)
     frames = log.recording(stamps, hour_unix=HOUR, every=5900)

@@ -287,9 +287,12 @@ class _Sequencer:
         return out
 
 
-def _positions(block: PayloadBlock, data: PayloadBlock, first_packet: int) -> list[PositionPacket]:
-    after = first_packet + np.searchsorted(data.record, block.record)
-    toh = block.payload[:, 198:202].copy().view("<u4").ravel()
+def _positions(
+    block: PayloadBlock, own: ArrayB, data: PayloadBlock, first_packet: int
+) -> list[PositionPacket]:
+    after = first_packet + np.searchsorted(data.record, block.record[own])
+    payload = block.payload[own]
+    toh = payload[:, 198:202].copy().view("<u4").ravel()
     return [
         PositionPacket(
             after_packet=int(a),
@@ -297,7 +300,7 @@ def _positions(block: PayloadBlock, data: PayloadBlock, first_packet: int) -> li
             pps=int(row[202]),
             sentence=row[206:].tobytes().split(b"\0", 1)[0].rstrip(b"\r\n "),
         )
-        for a, t, row in zip(after, toh, block.payload, strict=True)
+        for a, t, row in zip(after, toh, payload, strict=True)
     ]
 
 
@@ -332,6 +335,7 @@ def read_packets(
     sequencer = _Sequencer(model, any_product=options.model.lower() != "auto")
     waiting: deque[tuple[PayloadBlock, int]] = deque()
     positions: deque[PositionPacket] = deque()
+    senders: set[int] = set()
     n_data = 0
     for path in files:
         found.file_starts.append(n_data)
@@ -340,7 +344,12 @@ def read_packets(
         ):
             if data.record.size:
                 waiting.append((data, n_data))
-            positions.extend(_positions(position, data, n_data))
+            senders.update(np.unique(data.sender).tolist())
+            # all lidars of a network send these to one port, whatever the port of their data
+            own = np.isin(position.sender, list(senders)) | (not senders)
+            if other := int(np.count_nonzero(~own)):
+                found.capture.counts["position_packets_of_other_senders"] += other
+            positions.extend(_positions(position, own, data, n_data))
             n_data += data.record.size
             while waiting and n_data - waiting[0][1] - waiting[0][0].record.size >= 2 * _LOOK_AHEAD:
                 yield _next_block(waiting, positions, sequencer)

@@ -471,6 +471,11 @@ def write_report(
             f"The azimuth jumps within a packet {int(counters[JUMPS])} times (a limited field of view or "
             "damaged blocks): times behind such a jump may be early."
         )
+    for port, n in tally.capture.foreign_ports.most_common():
+        report.note(
+            f"{n:,} payloads of the same size went to UDP port {port} and are not read: another lidar? "
+            "lidar.data_port names the port of the one that is read."
+        )
     if cut := tally.capture.cut_in_words():
         report.note(f"{cut[0].upper()}{cut[1:]}; capture with -s 0.")
     for note in builder.notes + tally.capture.notes:
