@@ -73,6 +73,12 @@ BAD_INPUT: list[tuple[str, dict[str, bytes | None], dict[str, object], str]] = [
         "no epoch with observations of the rover; rover: damaged or cut records were left out of rover.rnx: "
         "epochs_cut 1 (first: line ",
     ),
+    (
+        "time of BeiDou",  # RTKLIB reads epochs of BDT as if they were GPS time, 14 s off
+        {"base": observations(n=9).replace(b"   GPS   ", b"   BDT   ")},
+        {},
+        "epochs of the base in the time system BDT; expected one of GPS, GAL,",
+    ),
     ("no common system", {"base": observations(systems="R")}, {}, "none of the systems GPS, GAL is in rover"),
     (
         "zero base header",

@@ -109,7 +109,9 @@ def test_observation_2_with_continuation_lines(tmp_path):
         assert scan_rinex(write(tmp_path, "b.17o", text)).systems == (system,)
 
 
-@pytest.mark.parametrize(("scale", "offset_s"), [("GPS", 0.0), ("GAL", 0.0), ("BDT", 14.0), ("GLO", 18.0)])
+@pytest.mark.parametrize(
+    ("scale", "offset_s"), [("GPS", 0.0), ("GAL", 0.0), ("BDT", 14.0), ("BDS", 14.0), ("GLO", 18.0)]
+)
 def test_time_scales(tmp_path, scale, offset_s):
     gps = scan_rinex(write(tmp_path, "a.obs", obs_3(1))).t_gps_s
     other = scan_rinex(write(tmp_path, "b.obs", obs_3(1, scale=scale))).t_gps_s

@@ -141,7 +141,7 @@ class RinexScan:
         letters = np.array(self.letters, dtype="U1")
         navigation = self.kind == "navigation"
         utc = letters == "R" if navigation else np.full(days.shape, self.time_system in {"GLO", "UTC"})
-        bdt = letters == "C" if navigation else np.full(days.shape, self.time_system == "BDT")
+        bdt = letters == "C" if navigation else np.full(days.shape, self.time_system in {"BDT", "BDS"})
         t = days * DAY_S - ADJUSTED_OFFSET_S + seconds + bdt * _BDT_TO_GPS_S
         t[utc] = gps_from_unix(days[utc] * DAY_S + GPS_EPOCH_UNIX_S + seconds[utc])
         return t

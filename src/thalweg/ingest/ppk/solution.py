@@ -221,6 +221,9 @@ EPHEMERIS_AGE_S: Final = {
 }
 """Largest distance from the reference time at which RTKLIB uses an ephemeris (rtklib.h, MAXDTOE)."""
 
+_TIME_SYSTEMS: Final = ("GPS", "GAL", "QZS", "IRN", "GLO")
+"""Time systems of observations that RTKLIB knows, or that agree with that of GPS (rinex.c, readrnxobs)."""
+
 _CURE_ROVER: Final = "Give the rover's SBP or UBX log or RINEX observation files"
 _CURE_BASE: Final = "Give base=None for the corrections inside an SBP log, or the files of the base station"
 
@@ -517,6 +520,13 @@ def _conversion(folder: Path, role: str, receiver_options: str, source: str = ""
 def _copy_rinex(files: Sequence[Path], folder: Path, role: str, suffix: str, out: PpkInputs) -> None:
     for index, file in enumerate(files):
         scan = scan_rinex(Path(file))
+        if scan.kind == "observation" and scan.time_system not in _TIME_SYSTEMS:
+            raise InputError(
+                f"epochs of the {role} in the time system {scan.time_system}",
+                expected=f"one of {', '.join(_TIME_SYSTEMS)}: RTKLIB takes any other for GPS time",
+                where=file,
+                cure="Export it in GPS time",
+            )
         data = Path(file).read_bytes()
         out.bytes_read += len(data)
         for what, n in scan.losses.items():
