@@ -197,6 +197,10 @@ def test_a_dataflash_log_by_hand():
     found = _of_dataflash(dataflash(RFND=bare, DPTH=numbers("t_s Depth\n 0.0 7.0")), told)[3]
     assert found[["depth_m", "sentence"]].to_numpy().tolist() == [[7.0, "DPTH"]]
     assert len(_of_dataflash({}, report())[3]) == 0
+    # firmware before 4.0: both rangefinders in a message, the second one looks down here
+    old = numbers("t_s Dist1 Orient1 Dist2 Orient2\n 0.0 30.0 0 1.5 25\n 1.0 31.0 0 1.6 25")
+    found = _of_dataflash(dataflash(RFND=old), told)[3]
+    assert found[["t_s", "depth_m"]].to_numpy().tolist() == [[0.0, 1.5], [1.0, 1.6]]
 
 
 # ---------------------------------------------------------------- sounders

@@ -297,7 +297,8 @@ def _of_dataflash(
     place = _joined(place, speed, sigmas)
     pings = log.get("DPTH", _NONE).rename(columns={"Depth": "depth_m"}).assign(sentence="DPTH")
     if pings.empty and "RFND" in log:
-        down = log["RFND"].query("Orient == @DOWN" if "Orient" in log["RFND"] else "index == index")
+        ranges = _one_a_row(log["RFND"])
+        down = ranges.query("Orient == @DOWN" if "Orient" in ranges else "index == index")
         pings = down.rename(columns={"Dist": "depth_m"}).assign(sentence="RFND")
         if "Stat" in pings:  # 4: a good distance
             pings["depth_m"] = pings["depth_m"].where(pings["Stat"] == 4, 0.0)
@@ -361,6 +362,17 @@ def _dataflash_fixes(log: Messages, report: IntegrityReport) -> tuple[pd.DataFra
         ),
         offset_s,
     )
+
+
+def _one_a_row(ranges: pd.DataFrame) -> pd.DataFrame:
+    """Rangefinders, of which firmware before 4.0 writes two in a message (Dist1, Orient1, Dist2 ...)."""
+    if "Dist1" not in ranges:
+        return ranges
+    each = [
+        ranges.rename(columns={f"{name}{k}": name for name in ("Dist", "Stat", "Orient")}).assign(Instance=k)
+        for k in (1, 2)
+    ]
+    return pd.concat(each).sort_values("t_s", kind="stable", ignore_index=True)
 
 
 def _filter_sigmas(log: Messages, core: int) -> pd.DataFrame:
