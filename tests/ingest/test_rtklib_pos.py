@@ -374,3 +374,14 @@ def test_other_datums_and_heights_are_told(read):
     assert noted(log, "states the datum Tokyo")
     log = read(HEAD.replace("/ellipsoidal", "/orthometric") + LINE)
     assert log.positions["h_ell_m"].isna().all()
+
+
+@pytest.mark.parametrize("head", [HEAD, ""])
+def test_standard_deviations_of_0_throughout_are_unknown(read, head):
+    """Programs that know none fill the columns so; a single 0 is the noise of the engine's covariance."""
+    zeros = LINE.replace("   0.0030   0.0020   0.0060  -0.0010   0.0015  -0.0025", "   0.0000" * 6)
+    log = read(head + zeros + zeros.replace("13.400", "13.600"))
+    assert log.positions[["sigma_east_m", "sigma_up_m", "cov_en_m2"]].isna().all(axis=None)
+    assert noted(log, "All standard deviations are 0: taken as unknown.")
+    log = read(head + zeros + LINE.replace("13.400", "13.600"))
+    assert log.positions["sigma_north_m"].tolist() == pytest.approx([0.0, 0.003], abs=1e-12)

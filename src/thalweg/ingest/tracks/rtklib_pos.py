@@ -295,7 +295,7 @@ def _read_one(path: Path, report: IntegrityReport) -> pd.DataFrame:
                 report.note(f"{path.name} states the datum {datum[1]}: its positions are taken as WGS 84.")
             scales.append(f"{layout.scale.upper()} from line {first} on")
             tables.append(
-                _table(np.array(rows), layout, _base(heads, path) if layout.form == "enu" else None)
+                _table(np.array(rows), layout, _base(heads, path) if layout.form == "enu" else None, report)
             )
     first_bad = f"line {bad[0]}: {lines[bad[0] - 1][:60]!r}" if bad else ""
     if not tables:
@@ -497,7 +497,7 @@ def _base(heads: Sequence[str], path: Path) -> ArrayF:
     return np.array(numbers) if np.linalg.norm(numbers) > 6e6 else ecef_of(*numbers)
 
 
-def _table(rows: ArrayF, layout: Layout, base: ArrayF | None) -> pd.DataFrame:
+def _table(rows: ArrayF, layout: Layout, base: ArrayF | None, report: IntegrityReport) -> pd.DataFrame:
     time, fraction, leap, position = rows[:, 0], rows[:, 1], rows[:, 2], rows[:, 3:6]
     values = dict(zip(layout.names, rows[:, 6:].T, strict=True))
     if layout.scale == "gps":
@@ -509,6 +509,9 @@ def _table(rows: ArrayF, layout: Layout, base: ArrayF | None) -> pd.DataFrame:
         t = gps_from_unix(time - zone + whole) + (fraction - whole) + leap
     n = len(rows)
     covariance = _covariance(values, layout, n)
+    if not covariance.any():
+        report.note("All standard deviations are 0: taken as unknown.")
+        covariance[:] = np.nan
     height = position[:, 2]
     if layout.form == "llh":
         lat, lon = position[:, 0], position[:, 1]
