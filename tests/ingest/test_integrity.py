@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from thalweg.core import gps_from_week
-from thalweg.ingest import Gap, IntegrityReport, find_gaps
+from thalweg.ingest import Gap, IntegrityReport, find_gaps, interpolated
 
 
 def hole(start_s: float, duration_s: float, lost: int) -> Gap:
@@ -49,6 +49,21 @@ def test_gaps_are_steps_of_more_than_one_and_a_half(t, gaps):
     np.testing.assert_allclose(found, gaps)
     if len(gaps) == 1:
         assert find_gaps(t, factor=9.0) == []
+
+
+@pytest.mark.parametrize(
+    ("known", "at", "expected"),
+    [
+        ([0, 1, 2], [-1, 0, 0.5, 2, 3], [np.nan, 0, 5, 20, np.nan]),
+        ([0, 1, 3, 4], [1, 2, 3], [10, 20, 30]),  # one second is missing
+        ([0, 1, 3.1, 4], [1, 2, 3.1], [10, np.nan, 31]),
+        ([0, 9, 18, 31.4, 40.4, 54], [25, 40.4, 45], [250, 404, np.nan]),  # of a slow stream
+        ([7], [6, 7, 8], [np.nan, 70, np.nan]),
+    ],
+)
+def test_values_are_interpolated_but_not_in_holes(known, at, expected):
+    found = interpolated(at, known, 10.0 * np.array(known))
+    np.testing.assert_allclose(found, expected)
 
 
 def test_a_report_in_words_and_as_a_file(tmp_path):

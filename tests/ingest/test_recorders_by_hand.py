@@ -93,7 +93,7 @@ def test_states_have_the_place_and_the_sigmas_of_their_time():
     tilt = np.array([0.03, 0.04, np.nan]) / math.sqrt(2)
     expected = expected.assign(
         heading_rad=[2 * np.pi - 0.5, 7.0 - 2 * np.pi, 0.0], sigma_roll_rad=tilt, sigma_pitch_rad=tilt,
-        filter_status=[NAVIGATION_INITIALISED, NAVIGATION_INITIALISED, 0],
+        filter_status=NAVIGATION_INITIALISED,
     )  # fmt: skip
     pd.testing.assert_frame_equal(found[[*expected]], expected, check_dtype=False, rtol=1e-6)
     assert found["fix"].tolist() == ["fixed", "fixed", "fixed"]  # of two equally near the later one

@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 from tests.ingest.writers import new_campaign, noted, read_or_refused
 from thalweg.cli import main
 from thalweg.core import InputError, LocalFrame, gps_from_unix, rotation_opk
-from thalweg.ingest import LidarOptions, TrackOptions
+from thalweg.ingest import NAVIGATION_INITIALISED, LidarOptions, TrackOptions
 from thalweg.ingest.photos import read_image_stamps
 from thalweg.ingest.recorders import (
     mounts_of_bag,
@@ -456,6 +456,18 @@ def test_topics_that_are_named_are_taken(bag):
         "pos", [path], states=None, base=[], nav=[], ppk={}, base_position={}, topics=["/gnss/b"]
     )
     assert positions["lat_deg"].iloc[0] == pytest.approx(51.001)
+
+
+def test_attitudes_in_a_hole_of_the_fixes_have_no_position(bag):
+    """A receiver that lost its fix for 10 s under a bridge: the boat need not have kept its course."""
+    for k in range(20):
+        bag.imu(UNIX_S + k, (0.0, 0.0, 0.6, 0.8))
+        bag.fix(UNIX_S + k, k, status=-1 if k == 0 or 4 < k < 15 else 2)
+    log = read_poses([bag.close()], "ins")
+    assert np.flatnonzero(log.states["lat_deg"].isna()).tolist() == [0, *range(5, 15)]
+    # the attitude goes on in the hole
+    assert log.states["filter_status"].tolist() == [0] + [NAVIGATION_INITIALISED] * 19
+    assert log.report.counts["states_without_position"] == 11
 
 
 def test_attitudes_without_a_fix_are_refused(bag):

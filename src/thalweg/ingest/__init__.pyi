@@ -1,4 +1,9 @@
-from .integrity import Gap as Gap, IntegrityReport as IntegrityReport, find_gaps as find_gaps
+from .integrity import (
+    Gap as Gap,
+    IntegrityReport as IntegrityReport,
+    find_gaps as find_gaps,
+    interpolated as interpolated,
+)
 from .ouster import (
     OusterReader as OusterReader,
     describe_metadata as describe_metadata,

@@ -5,13 +5,13 @@ import math
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, Literal, Self, SupportsInt
+from typing import Any, Final, Literal, Self, SupportsInt
 
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from thalweg.core import AnyArray, ArrayB, read_json, utc_text_from_gps
+from thalweg.core import AnyArray, ArrayB, ArrayF, read_json, utc_text_from_gps
 from thalweg.ingest.stamps import StreamTiming
 
 TimeScale = Literal["gps", "utc", "device", "host", "none"]
@@ -214,6 +214,26 @@ def find_gaps(t_s: ArrayLike, factor: float = 1.5) -> list[Gap]:
         Gap(t_start_s=float(t[i]), duration_s=float(step[i]), lost=max(0, round(float(step[i]) / normal) - 1))
         for i in holes
     ]
+
+
+LONGEST_BRIDGE_S: Final = 2.0
+"""Between stamps farther apart a boat is not taken to keep its course, unless they always are."""
+
+
+def interpolated(t_s: ArrayLike, known_s: ArrayLike, values: ArrayLike) -> ArrayF:
+    """Values (n,) at other times; NaN outside of the known times and in their holes.
+
+    Parameters
+    ----------
+    t_s : (n,) times.
+    known_s, values : (m,) times that increase, and values at these; holes are steps longer than
+        `LONGEST_BRIDGE_S` and than 1.5 times the median step.
+    """
+    t, known, of_known = (np.asarray(each, np.float64) for each in (t_s, known_s, values))
+    after = np.clip(np.searchsorted(known, t), 1, max(known.size - 1, 0))
+    step, usual_s = known[after] - known[after - 1], np.median(np.diff(known)) if known.size > 1 else 0.0
+    within = (t > known[after - 1]) & (t < known[after]) & (step > max(LONGEST_BRIDGE_S, 1.5 * usual_s))
+    return np.where(within, np.nan, np.interp(t, known, of_known, left=np.nan, right=np.nan))
 
 
 def _plain(value: Any) -> Any:

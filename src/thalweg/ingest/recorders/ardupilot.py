@@ -35,6 +35,7 @@ from thalweg.ingest import (
     IntegrityReport,
     PoseLog,
     TrackOptions,
+    interpolated,
 )
 
 Messages = Mapping[str, pd.DataFrame]
@@ -172,7 +173,7 @@ def _states(
         known = place[place[name].notna()] if name in place else place.iloc[:0]
         if known.empty:
             return np.full(len(t_s), np.nan)
-        return np.interp(t_s, known["t_s"], known[name], left=np.nan, right=np.nan)
+        return interpolated(t_s, known["t_s"], known[name])
 
     heading = np.mod(attitude["yaw_rad"].to_numpy(np.float64), 2 * np.pi)
     tilt = at("sigma_tilt_rad") / np.sqrt(2.0)
@@ -192,7 +193,9 @@ def _states(
             "sigma_heading_rad": at("sigma_heading_rad"),
             "fix": _nearest(place, t_s),
             "system_status": 0,
-            "filter_status": np.where(np.isfinite(at("lat_deg")), NAVIGATION_INITIALISED, 0),
+            "filter_status": np.where(
+                np.maximum.accumulate(np.isfinite(at("lat_deg"))), NAVIGATION_INITIALISED, 0
+            ),
         },
         unknown=np.nan,
     )

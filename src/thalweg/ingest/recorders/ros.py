@@ -55,6 +55,7 @@ from thalweg.ingest import (
     PoseLog,
     PositionLog,
     TrackOptions,
+    interpolated,
     is_ouster_metadata,
 )
 from thalweg.ingest.tracks import BODY_AXES, TextPoses, states_of_poses
@@ -912,10 +913,12 @@ def read_bag_poses(files: Sequence[Path], options: TrackOptions) -> PoseLog:
     depths = _beside("depth", files, options, report)
     t, at = states["t_gps_s"].to_numpy(), positions.drop_duplicates("t_gps_s").sort_values("t_gps_s")
     for name in ("lat_deg", "lon_deg", "h_ell_m", "sigma_east_m", "sigma_north_m", "sigma_up_m"):
-        states[name] = np.interp(t, at["t_gps_s"], at[name], left=np.nan, right=np.nan)
-    states["filter_status"] = np.where(states["lat_deg"].notna(), NAVIGATION_INITIALISED, 0).astype(np.uint16)
+        states[name] = interpolated(t, at["t_gps_s"], at[name])
+    placed = states["lat_deg"].notna()
+    states["filter_status"] = np.where(placed.cummax(), NAVIGATION_INITIALISED, 0).astype(np.uint16)
     report.take_gps_times(t, "states")
     report.count("positions", len(positions))
+    report.count_some("states_without_position", (~placed).sum())
     report.note("Positions are those of the receiver's antenna, between its fixes.")
     return PoseLog(states=states, positions=positions, depths=depths, report=report)
 

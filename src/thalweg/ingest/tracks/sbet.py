@@ -44,6 +44,7 @@ from thalweg.ingest import (
     IntegrityReport,
     PoseLog,
     gps_from_scale,
+    interpolated,
     tell_time_scale,
     time_scale_words,
 )
@@ -335,7 +336,7 @@ def _sigmas(
             "written in degrees or radians?"
         )
     return {
-        name: np.interp(t, t_sigma[order], records[order, index] * unit, left=np.nan, right=np.nan)
+        name: interpolated(t, t_sigma[order], records[order, index] * unit)
         for name, (index, unit) in columns.items()
         if name not in zero
     }
