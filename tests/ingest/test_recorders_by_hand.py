@@ -259,6 +259,11 @@ def test_an_ensemble_by_hand():
     bare = _ensemble({0x0000: [bytes(fixed)]})
     assert math.isnan(bare["lat_deg"])
     assert math.isnan(bare["rtc_unix_s"])
+    # beams of another angle, as those of a Sentinel V, have it in a byte of its own
+    fixed = fixed.ljust(59, b"\x19")
+    fixed[5] = 3
+    assert _ensemble({0x0000: [bytes(fixed)]})["beam_angle_deg"] == 25.0
+    assert math.isnan(_ensemble({})["beam_angle_deg"])
     assert math.isnan(_clock(bytes(4) + bytes([24, 13, 40, 1, 1, 1, 1])))
 
 
@@ -268,6 +273,12 @@ def test_an_ensemble_by_hand():
         (12.25, "The instrument's clock is 12.25 s behind GNSS."),
         (-30.0, "The instrument's clock is 30.00 s ahead of GNSS."),
         (7200.0, "The instrument's clock is 7,200.00 s behind GNSS: it may show local time."),
+        # New Zealand in summer is UTC + 13 h, American Samoa UTC - 11 h: the same time of another day
+        (
+            39_600.0,
+            "The instrument's clock is 39,600.00 s behind GNSS: it may show local time; if that is UTC+13 h, "
+            "dates are a day late.",
+        ),
     ],
 )
 def test_the_instruments_clock_is_set_by_the_time_of_day(ahead_s, words):

@@ -57,7 +57,9 @@ _DEGREE_M: Final = math.pi / 180.0 * 6_371_000.0
 _NO_FIX: Final = (0, 7, 8)
 """Qualities of GGA: none, typed in by hand, a simulator's."""
 _FIX: Final = {1: "single", 2: "dgnss", 3: "single", 4: "fixed", 5: "float", 6: "dead_reckoning"}
-_BEAM_ANGLE_DEG: Final = {0: 15.0, 1: 20.0, 2: 30.0}
+_BEAM_ANGLE_DEG: Final[dict[float, float]] = {0: 15.0, 1: 20.0, 2: 30.0}
+_DATE_LINE_S: Final = 9.5 * 3600
+"""Clocks so far behind UTC show the time of day of those that lead it by 13 or 14 h, a day later."""
 _BEAM_AZIMUTH_DEG: Final = np.array([-90.0, 90.0, 0.0, 180.0])
 """Janus configuration that looks down: beams 1 and 2 to port and starboard, 3 and 4 forward and aft."""
 
@@ -335,7 +337,7 @@ def _ensemble(blocks: dict[int, list[bytes]]) -> dict[str, float]:
         return float(np.frombuffer(whole[-1], kind, 1, at)[0]) if whole else math.nan
 
     row = {
-        "beam_angle_deg": _BEAM_ANGLE_DEG.get(int(number(_FIXED, 5, "u1")) & 3, 20.0),
+        "beam_angle_deg": _BEAM_ANGLE_DEG.get(number(_FIXED, 5, "u1") % 4, number(_FIXED, 58, "u1")),
         "alignment_deg": number(_FIXED, 26, "<i2") * 0.01,
         "variation_deg": number(_FIXED, 28, "<i2") * 0.01,
         "heading_deg": number(_VARIABLE, 18, "<u2") * 0.01,
@@ -400,7 +402,12 @@ def _on_gnss_time(table: pd.DataFrame, report: IntegrityReport) -> ArrayF:
     offset = np.nanmedian(ahead)
     report.note(
         f"The instrument's clock is {abs(offset):,.2f} s {'behind' if offset > 0 else 'ahead of'} GNSS"
-        + (": it may show local time." if abs(offset) > 900 else ".")
+        + (": it may show local time" if abs(offset) > 900 else "")
+        + (
+            f"; if that is UTC{24 - offset / 3600:+.0f} h, dates are a day late."
+            if offset > _DATE_LINE_S
+            else "."
+        )
     )
     return clock + offset
 
@@ -421,7 +428,7 @@ def _slanted(table: pd.DataFrame, beams_m: ArrayF, t_unix_s: ArrayF) -> pd.DataF
     north, east, down = np.moveaxis(np.einsum("nij,nkj->nki", turn.as_matrix(), ends), 2, 0)
     lat = table["lat_deg"].to_numpy()[:, None]
     lon = table["lon_deg"].to_numpy()[:, None] + east / (_DEGREE_M * np.cos(np.deg2rad(lat)))
-    seen = beams_m > 0
+    seen = (beams_m > 0) & np.isfinite(down)
     return pd.DataFrame(
         {
             "latitude": (lat + north / _DEGREE_M)[seen],
