@@ -212,6 +212,12 @@ def test_of_old_receivers_another_message_tells_what_is_a_fix(read, name, ok):
     assert noted(only, "which positions are fixes")
 
 
+def test_a_log_of_other_positions_says_so(read):
+    log = read(*(of_nav("NAV-POSECEF", k, ecefX=390_000_000, ecefY=90_000_000) for k in range(3)))
+    assert log.positions.empty
+    assert noted(log, "No message states positions that are read (NAV-PVT, NAV-HPPOSLLH, NAV-POSLLH).")
+
+
 def test_a_place_that_is_marked_invalid_is_none(read):
     log = read(pvt(0, invalidLlh=1, lat=47.0), pvt(1))
     assert log.positions["lat_deg"].tolist() == pytest.approx([51.000001])

@@ -33,16 +33,9 @@ from thalweg.ingest import GNSS_POSITION, IntegrityReport, PositionLog, TrackOpt
 from thalweg.ingest.nmea import read_nmea
 
 RAW_OBSERVATIONS: Final = ("RXM-RAWX", "RXM-RAW")
-_POSITIONS: Final = (
-    "NAV-PVT",
-    "NAV-HPPOSLLH",
-    "NAV-POSLLH",
-    "NAV-COV",
-    "NAV-TIMEGPS",
-    "NAV-SOL",
-    "NAV-STATUS",
-    "NAV-RELPOSNED",
-)
+_PLACES: Final = ("NAV-PVT", "NAV-HPPOSLLH", "NAV-POSLLH")
+"""Messages with positions, the one that says most first."""
+_POSITIONS: Final = (*_PLACES, "NAV-COV", "NAV-TIMEGPS", "NAV-SOL", "NAV-STATUS", "NAV-RELPOSNED")
 _FIX_TYPE: Final = {0: "none", 1: "dead_reckoning", 2: "single", 3: "single", 4: "single", 5: "none"}
 _CARRIER: Final = {1: "float", 2: "fixed"}
 _AFTER_VERSION: Final = ("NAV-HPPOSLLH", "NAV-RELPOSNED")
@@ -169,6 +162,8 @@ def read_ubx(files: Sequence[Path], options: TrackOptions) -> PositionLog:
         report.note(
             f"{raw_epochs:,} epochs of raw observations: name the log in gnss.rover (or base) for PPK."
         )
+    elif log.positions.empty and not any(numbers[name] for name in _PLACES):
+        report.note(f"No message states positions that are read ({', '.join(_PLACES)}).")
     if numbers["TIM-TM2"]:
         report.note(f"{numbers['TIM-TM2']:,} time marks (TIM-TM2) are not read.")
     return log
@@ -180,7 +175,7 @@ def _week_of_raw(name: str, raw: bytes) -> int:
 
 
 def _positions(tables: dict[str, pd.DataFrame], report: IntegrityReport, path: Path) -> pd.DataFrame:
-    main = next((name for name in ("NAV-PVT", "NAV-HPPOSLLH", "NAV-POSLLH") if name in tables), None)
+    main = next((name for name in _PLACES if name in tables), None)
     if main is None:
         return GNSS_POSITION.empty_table().to_pandas()
     if apart := int((tables[main].groupby("tow_s")[["lat", "lon"]].nunique() > 1).any(axis=1).sum()):
