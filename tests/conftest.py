@@ -292,7 +292,10 @@ def group_of(nodeid: str) -> str:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Workers get the groups in the order of their length."""
+    """`make fuzz` takes each test with the fixture, by ``-k``; workers get the longest groups first."""
+    for item in items:
+        if "fuzz" in getattr(item, "fixturenames", ()):
+            item.extra_keyword_matches.add("fuzz")
     if hasattr(config, "workerinput"):
         rank = {group: k for k, group in enumerate(LONGEST_FIRST)}
         items.sort(key=lambda item: rank.get(group_of(item.nodeid), len(rank)))
