@@ -53,8 +53,13 @@ def test_names_of_columns_tell_quantity_and_unit():
 
 
 def test_units_behind_numbers_count_before_that_of_the_column(read):
-    table = read("x,y,depth (cm)\n0,0,10 ft\n1,0,15.5D+01\n2,0,20 cm\n3,0,25\n4,0,0.3 fathom\n")
-    assert table.numbers(table.find("depth")) == pytest.approx([3.048, 1.55, 0.2, 0.25, 0.54864])
+    rows = "0,0,10 ft\n1,0,15.5D+01\n2,0,20 cm\n3,0,25\n4,0,0.3 fathom\n5,0,2 m\n6,0,3 m\n"
+    table = read(f"x,y,depth (cm)\n{rows}")
+    assert table.numbers(table.find("depth")) == pytest.approx([3.048, 1.55, 0.2, 0.25, 0.54864, 2.0, 3.0])
+    assert table.notes == [
+        f"{n} of 7 cells of column depth (cm) state {unit}, and are read so"
+        for n, unit in ((1, "feet"), (1, "fathoms"), (2, "metres"))
+    ]
 
 
 def test_nothing_is_met_exactly():
@@ -114,6 +119,11 @@ REFUSED = {
     ),
     "integers": ("lat,lon,depth\n" + "510000000,137500000,2\n" * 3, "degrees times 1e7"),
     "no names": ("412000,5650000,1.5,7\n" * 3, "--columns x,y,z"),
+    "two units": (
+        "x,y,depth (ft)\nm,m,m\n" + "412000,5650000,1.5\n" * 3,
+        "'m' as its unit in the line below",
+    ),
+    "shares": ("x,y,depth (%)\n" + "412000,5650000,1.5\n" * 3, "in %"),
     "a quotation mark": ('x,y,z\n1,2,"3\n4,5,6\n', "quotation mark"),
     "a grid": ("ncols 4\nnrows 2\n1 2 3 4\n", "gdal_translate"),
 }

@@ -18,6 +18,7 @@ import contextlib
 import csv
 import datetime as dt
 import re
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from io import StringIO
@@ -107,7 +108,8 @@ _FILLERS: Final = frozenset(_FILLER_WORDS.split())
 _ANGLES: Final = {"rad": 180.0 / np.pi, "radian": 180.0 / np.pi, "radians": 180.0 / np.pi, "gon": 0.9}
 """Units of latitude and longitude other than degrees -> degrees."""
 _OTHER_UNITS: Final = (
-    "bar dbar mbar kpa hpa pa psi ms us s sec min v mv counts raw_counts px pixel pixels " + " ".join(_ANGLES)
+    "% bar dbar mbar kpa hpa pa psi ms us s sec min v mv counts raw_counts px pixel pixels "
+    + " ".join(_ANGLES)
 )
 _NO_LENGTHS: Final = frozenset(_OTHER_UNITS.split())
 """Units that are known and are no lengths."""
@@ -538,9 +540,7 @@ class Table:
             none |= values <= 0
             if _OF_95.search(column.name):
                 metres = metres / 1.96
-                self.notes.append(
-                    f"column {column.name} divided by 1.96, from 95 % to one standard deviation"
-                )
+                self._note(f"column {column.name} divided by 1.96, from 95 % to one standard deviation")
         if kind in ("depth", "height"):
             none |= _stand_ins(np.where(none, np.nan, values), keep)
         if none.any():
@@ -564,16 +564,26 @@ class Table:
             )
 
     def _values(self, k: int) -> tuple[ArrayF, ArrayF]:
-        """Numbers (n,) of a column as they stand, NaN where there is none, and the metres of their units."""
-        cells = self.cells[k]
-        values = self._parsed(cells)
-        metres = np.full(len(values), (self.columns[k].unit or METRE).metres)
+        """Numbers (n,) of a column as they stand, NaN where there is none, and the metres of their units.
+
+        A unit in a cell goes before that of the column.
+        """
+        cells, column = self.cells[k], self.columns[k]
+        values, usual = self._parsed(cells), column.unit or METRE
+        metres, others = np.full(len(values), usual.metres), Counter[str]()
         if (none := np.isnan(values)).any():
             # a unit behind the number, group marks, Fortran's exponents
             for row in np.flatnonzero(none & cells.str.match(r"[-+−.,\d]").to_numpy(np.bool_)).tolist():
                 values[row], own = self._odd(cells.iloc[row])
-                metres[row] = metres[row] if own == 1.0 else own
+                metres[row] = (own or usual).metres
+                others.update([] if own in (None, usual) else [own.plural])
+        for unit, n in others.items():
+            self._note(f"{n:,} of {len(cells):,} cells of column {column.name} state {unit}, and are read so")
         return values, metres
+
+    def _note(self, sentence: str) -> None:
+        if sentence not in self.notes:
+            self.notes.append(sentence)
 
     def _parsed(self, cells: "pd.Series[Any]") -> ArrayF:
         if cells.dtype.kind == "f":
@@ -584,18 +594,18 @@ class Table:
             cells = cells.str.replace(",", ".", regex=False)
         return pd.to_numeric(cells, errors="coerce").to_numpy(np.float64, na_value=np.nan).copy()
 
-    def _odd(self, text: str) -> tuple[float, float]:
-        """A number that pandas does not read, and the metres of the unit behind it."""
+    def _odd(self, text: str) -> tuple[float, Unit | None]:
+        """A number that pandas does not read, and the unit behind it; NaN for any other text."""
         bare = re.sub(r"(?<=\d)['\u00a0\u202f ](?=\d{3})", "", text.replace("−", "-"))
         if self.thousands:
             bare = bare.replace(self.thousands, "")
         if self.decimal == ",":
             bare = bare.replace(",", ".")
         found = re.fullmatch(rf"({_NUMBER.pattern})\s*([^\d\s.,].*)?", bare.strip())
-        if not found:
-            return np.nan, 1.0
-        unit = METRE if found[2] is None else unit_of_word(found[2])
-        return (np.nan, 1.0) if unit is None else (float(re.sub("[dD]", "e", found[1])), unit.metres)
+        unit = unit_of_word(found[2]) if found and found[2] else None
+        if not found or (found[2] and unit is None):
+            return np.nan, None
+        return float(re.sub("[dD]", "e", found[1])), unit
 
     def _lose(self, reason: str, column: str, rows: ArrayB) -> None:
         if n := int(rows.sum()):
@@ -1177,7 +1187,7 @@ def read_text_table(path: Path, *, order: Sequence[str] | None = None, bare: Seq
         number, width = np.arange(first + 1, first + 1 + len(body)), body.shape[1]
     table = Table(
         path=path,
-        columns=_with_units(_columns(head, order, bare, width, path), below),
+        columns=_with_units(_columns(head, order, bare, width, path), below, path),
         named=head is not None or order is not None,
         cells=body,
         line=number.astype(np.int64),
@@ -1599,13 +1609,26 @@ def _count(mark: ArrayB, line: ArrayI) -> tuple[int, int]:
     return int(mark.sum()), int(line[np.argmax(mark)])
 
 
-def _with_units(columns: tuple[Column, ...], below: Sequence[str]) -> tuple[Column, ...]:
-    """The columns with the units of a line below their names."""
+def _with_units(columns: tuple[Column, ...], below: Sequence[str], path: Path) -> tuple[Column, ...]:
+    """The columns with the units of a line below their names.
+
+    Raises
+    ------
+    InputError : a name states another unit.
+    """
     out = list(columns)
     for k, word in enumerate(below[: len(out)]):
         unit, foreign = _in_brackets(word.strip("()[]{}"))
-        if unit is not None or foreign:
-            out[k] = replace(out[k], unit=unit, foreign=foreign)
+        if unit is None and not foreign:
+            continue
+        if (out[k].unit, out[k].foreign) not in ((None, ""), (unit, foreign)):
+            raise InputError(
+                f"column {out[k].name}, and '{word}' as its unit in the line below",
+                where=path,
+                expected="one unit",
+                cure="Correct one of them",
+            )
+        out[k] = replace(out[k], unit=unit, foreign=foreign)
     return tuple(out)
 
 
