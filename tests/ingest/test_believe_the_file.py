@@ -132,6 +132,8 @@ def test_heights_whose_name_counts_downwards(tmp_path, name):
         ("x,y,depth,UTM Zone", [32, 33] * (N // 2), "", "in zone 32, 33 by the file"),
         ("x,y,depth,id", 1, "# UTM zone 32N\n", "in zone 32 by the file"),
         ("x,y,depth,CS name", "ETRS89 / UTM zone 32N", "", "EPSG:25832.*as stated"),
+        ("UTM32_E,UTM32_N,depth,id", 1, "", "in zone 32 by the file"),
+        ("x (EPSG:25832),y (EPSG:25832),depth,id", 1, "", "EPSG:25832.*as stated"),
         ("x,y,depth,Zone", [1, 2] * (N // 2), "# transformed from UTM 32 to UTM 33\n", ""),
     ],
 )

@@ -182,7 +182,7 @@ _FEW_SYSTEMS: Final = 3
 """A column of more names holds no coordinate systems."""
 _OF_TODAY: Final = ("WGS 84", "GRS 1980")
 """Ellipsoids of systems that differ from WGS 84 by a metre or two."""
-_UTM_ZONE: Final = re.compile(r"(?i)\bUTM\W*(?:zone\W*)?(\d\d?)(?!\d)")
+_UTM_ZONE: Final = re.compile(r"(?i)(?<![a-z])UTM[\W_]*(?:zone[\W_]*)?(\d\d?)(?!\d)")
 _OF_SYSTEMS: Final = ("epsg", "srid", "srs", "crs", "cs_name", "coordinate_system", "projection")
 _OF_ZONES: Final = ("timezone", "time_zone", "tz", "utc_offset", "utcoffset")
 _HOURS: Final = (
@@ -777,7 +777,8 @@ class Table:
         if not crs.utm_zone:
             return
         wanted = int(crs.utm_zone[:-1])
-        remarks = {int(zone) for line in self.remarks for zone in _UTM_ZONE.findall(line)}
+        words = (*self.remarks, *(column.name for column in self.columns))
+        remarks = {int(zone) for each in words for zone in _UTM_ZONE.findall(each)}
         said = set() if wanted in remarks else remarks
         for k, column in enumerate(self.columns):
             if column.words in ("zone", "utm_zone", "zone_utm"):
@@ -1297,9 +1298,10 @@ def _heed(remarks: Sequence[tuple[int, str]], table: Table) -> Table:
                 where=f"{table.path}:{number}",
                 cure="Rename these columns, or state all with --columns",
             )
-        codes |= {int(code) for code in re.findall(r"(?i)\bEPSG\W{0,2}(\d{4,5})\b", line)}
         if matters(line):
             table.notes.append(f"line {number} says '{line[:80]}'")
+    for words in (*(line for _, line in remarks), *(column.name for column in table.columns)):
+        codes |= {int(code) for code in re.findall(r"(?i)\bEPSG\W{0,2}(\d{4,5})\b", words)}
     for k, column in enumerate(table.columns):
         if _FLAGS & {*column.words.split("_")} and len({*table.text(k)}) > 1:
             table.notes.append(f"column {column.name} may mark rows that do not count: it is not read")
