@@ -439,11 +439,21 @@ def test_levels_of_a_gauge_without_dates(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "text", ["", "date,level\n", "01/02/2024,3.0\n02/02/2024,3.1\n", "2024-05-01,a\nb,c\n"]
+    ("text", "words"),
+    [
+        ("", "empty"),
+        ("date,level\n", "no level"),
+        ("01/02/2024,3.0\n02/02/2024,3.1\n", "dates such as"),
+        ("2024-05-01,a\nb,c\n", "without a number"),
+        ("time,depth to water (m)\n2024-05-01T12:00,3.0\n2024-05-01T13:00,3.1\n", "positive upwards"),
+        ("time (CEST),level\n12:00,3.0\n13:00,3.1\n", "times of day in the zone UTC.02:00"),
+        ("time,level\n1:00 PM,3.0\n2:00 PM,3.1\n", "no time and level: 1:00 PM"),  # not of today
+        ("time,level\n2024-10-27 02:30,3.0\n2024-10-27 02:30,3.4\n", "two levels of one time"),
+    ],
 )
-def test_levels_that_are_none(text, tmp_path):
+def test_levels_that_are_none(text, words, tmp_path):
     (tmp_path / "l.csv").write_text(text)
-    with pytest.raises(InputError) as told:
+    with pytest.raises(InputError, match=words) as told:
         Levels.read(tmp_path / "l.csv")
     check_whole(told.value)
 

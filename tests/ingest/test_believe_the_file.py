@@ -338,6 +338,13 @@ def test_a_deep_place_and_coarse_numbers_are_no_stand_ins():
         ("time (GMT+2h)", "2024-06-12 12:00:{:02d}", TEN),
         ("time,time_utc", "2024-06-12 12:00:{:02d},2024-06-12T10:00:00Z", TEN),
         ("week,tow", "2318,2952180{:02d}", TEN + 0.0),
+        ("gps_week,tow (ms)", "2318,2952180{:02d}", TEN),
+        ("gps_week,tow (s)", "2318,295218.{:02d}", TEN),
+        ("time", "2024-06-12 12:00:{:02d} +0200", TEN),
+        ("time", "2024-06-12 12:00:{:02d} UTC+2", TEN),
+        ("time", "Wed Jun 12 2024 12:00:{:02d} GMT+0200 (Central European Summer Time)", TEN),
+        ("# Zeit in MEZ\ntime", "2024-06-12 11:00:{:02d}", TEN),
+        ("time,tz_cd", "2024-06-12 06:00:{:02d},EDT", TEN),
     ],
 )
 def test_zones_that_a_table_states(tmp_path, head, cells, unix_s):
@@ -366,9 +373,13 @@ def test_zones_that_change_with_the_rows(tmp_path):
             "time,x\n06/13/2024 10:00,1\n06/13/2024 10:01,2\n2024-06-13 10:02,3\n",
             "1 times of column time are not",
         ),
+        ("time,x\n24.06.12 10:00:00,1\n25.06.12 10:00:00,1\n", "24.06.12 10:00:00 taken as 2012-06-24"),
+        ("Local time,x\n2024-06-12 11:00:00,1\n", "'Local time' may mean another clock or zone"),
+        ("time,x\n1:00:00 PM,1\n", "no time with a date"),  # and none of today
+        ("time (Europe/Berlin),x\n2024-10-27 02:30:00,1\n", "1 times of column time (Europe/Berlin) are not"),
     ],
 )
-def test_times_that_may_be_others_are_noted(tmp_path, text, words):
+def test_times_that_may_be_others_or_none_are_noted(tmp_path, text, words):
     (tmp_path / "t.csv").write_text(text)
     assert words in " ".join(read_text_table(tmp_path / "t.csv").times()[1])
 

@@ -21,7 +21,7 @@ from scipy.cluster.vq import kmeans2
 from scipy.spatial import cKDTree
 
 from thalweg.core import ArrayB, ArrayF, ArrayI, GeometryError, InputError
-from thalweg.ingest import NAMES, read_text_table
+from thalweg.ingest import NAMES, read_text_table, stated_zone
 
 _PAIRED: Final = 1000
 _NEAR: Final = 0.15
@@ -205,6 +205,14 @@ class Levels:
             notes.append(f"column {table.columns[last].name} taken as the level, of {table.listed()}")
         when = pd.Series(["T".join(row) for row in table.cells.iloc[:, of_time].to_numpy()], dtype=str)
         clock, daily = (bool(len(when)) and bool(when.str.fullmatch(p).all()) for p in (_CLOCK, _DATE))
+        zone = stated_zone(*(table.columns[k].name for k in of_time), *table.remarks)
+        if clock and zone is not None:
+            raise InputError(
+                f"times of day in the zone {zone}",
+                where=path,
+                expected="times of day in UTC, or dates beside them",
+                cure="Write them as 2024-05-01T12:30+02:00",
+            )
         told = None if clock or not len(table) else table.times()
         t = np.full(len(table), np.nan) if told is None else told[0]
         if clock:
@@ -222,6 +230,15 @@ class Levels:
                 cure="Write date or time, and level: 2024-05-01,312.45 or 2024-05-01T12:30,312.45",
             )
         order = np.argsort(t, kind="stable")
+        again = np.flatnonzero((np.diff(t[order]) == 0) & (np.diff(level[order]) != 0))
+        if len(again):
+            first, second = order[again[0] : again[0] + 2]
+            raise InputError(
+                f"two levels of one time: {', '.join(table.cells.iloc[first])}",
+                where=f"{path}:{table.line[second]}",
+                expected="one level a time",
+                cure="Write times in UTC: a clock that is set back shows an hour twice",
+            )
         notes = [*table.notes, *notes, *(told[1] if told else ())]
         return cls(
             t_s=t[order], level_m=level[order], clock=clock, daily=daily, path=path, notes=tuple(notes)

@@ -4,6 +4,7 @@ from .integrity import (
     find_gaps as find_gaps,
     interpolated as interpolated,
 )
+from .moments import stated_zone as stated_zone
 from .ouster import (
     OusterReader as OusterReader,
     describe_metadata as describe_metadata,

@@ -16,7 +16,6 @@ nothing    words and numbers of `thalweg.core.values.NOTHING`
 
 import contextlib
 import csv
-import datetime as dt
 import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
@@ -24,7 +23,6 @@ from dataclasses import dataclass, field, replace
 from io import StringIO
 from pathlib import Path
 from typing import Any, Final
-from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
 import numpy as np
 import pandas as pd
@@ -32,8 +30,6 @@ from pyproj import CRS, Transformer
 from pyproj.exceptions import CRSError, ProjError
 
 from thalweg.core import (
-    DAY_S,
-    LEAP_TABLE_VALID_UNTIL,
     WEEK_S,
     ArrayB,
     ArrayF,
@@ -63,14 +59,8 @@ from thalweg.core.values import (
     unit_of_word,
     utm_of,
 )
-from thalweg.ingest.stamps import (
-    TIME_SCALES,
-    doubtful_date,
-    gps_from_scale,
-    possible_unix,
-    tell_time_scale,
-    time_scale_words,
-)
+from thalweg.ingest.moments import CLOCK, past_midnight, unix_of_texts
+from thalweg.ingest.stamps import doubtful_date, possible_unix
 
 # ---------------------------------------------------------------- names of columns
 
@@ -86,8 +76,8 @@ NAMES: Final[Mapping[str, str]] = {
     "soundings wd",
     "sigma": "sigma sigma_z sigma_up sigma_height sigma_depth sd std stdev stddev uncertainty tvu accuracy",
     "line": "line line_id line_name profile section transect track run survey_line",
-    "time": "time timestamp datetime date_time date_time_utc datetime_utc timestamp_utc time_utc utc "
-    "utc_time gps_time epoch epoch_ms unix unix_s t "
+    "time": "time local_time timestamp datetime date_time date_time_utc datetime_utc timestamp_utc time_utc "
+    "utc utc_time gps_time epoch epoch_ms unix unix_s t "
     "uhrzeit zeit zeitstempel heure hora ora tijd",
     "week": "week gps_week gpsweek wn",
     "tow": "tow sow gps_sow gps_tow seconds_of_week",
@@ -169,51 +159,21 @@ _VALUE: Final = re.compile(
     r"|[NSEWnsew]?\s*[-+]?\d{1,3}[°:d ].*"  # angle
 )
 """A cell that holds a value rather than a name."""
-_DAY: Final = r"^(\d{1,2})([./-])(\d{1,2})[./-](\d{4}|\d\d)(.*)$"
-"""A day before its month, or the other way round, and what stands behind."""
-_CLOCK: Final = r"\d{1,2}:\d\d(?::\d\d(?:[.,]\d*)?)?(?: ?[aApP]\.?[mM]\.?)?"
-_WORDED: Final = re.compile(
-    r"(?i)\d ?[ap]\.?m\.?$|[-/ ](?:jan|feb|mar|apr|may|jun|jul|aug|sep|oct|nov|dec)[a-z]*[-/ ]"
-)
-"""Clocks of twelve hours, and months by name."""
-_LAST_YEAR: Final = int(LEAP_TABLE_VALID_UNTIL[2:4])
-"""Of two digits, that a date of a survey may have."""
+_SECONDS: Final = {"s": 1.0, "sec": 1.0, "ms": 1e3, "us": 1e6}
+"""Units of time -> how many of them make a second."""
 _FEW_SYSTEMS: Final = 3
 """A column of more names holds no coordinate systems."""
 _OF_TODAY: Final = ("WGS 84", "GRS 1980")
 """Ellipsoids of systems that differ from WGS 84 by a metre or two."""
 _UTM_ZONE: Final = re.compile(r"(?i)(?<![a-z])UTM[\W_]*(?:zone[\W_]*)?(\d\d?)(?!\d)")
 _OF_SYSTEMS: Final = ("epsg", "srid", "srs", "crs", "cs_name", "coordinate_system", "projection")
-_OF_ZONES: Final = ("timezone", "time_zone", "tz", "utc_offset", "utcoffset")
-_HOURS: Final = (
-    "0 UTC GMT Z|1 CET MEZ|2 CEST MESZ EET|3 EEST|9 JST|10 AEST|11 AEDT|12 NZST|13 NZDT|-4 EDT|-5 EST CDT|"
-    "-6 MDT|-7 MST PDT|-8 PST"
-)
-_ZONES: Final = {name: float(first) for first, *names in map(str.split, _HOURS.split("|")) for name in names}
-"""Names of zones of time that mean one of them -> hours before UTC."""
+_OF_ZONES: Final = ("timezone", "time_zone", "tz", "tz_cd", "utc_offset", "utcoffset")
 _OF_HEIGHTS: Final = re.compile(r"(?i)\b(?:depths?|heights?|elevations?|soundings?|z|tiefen?|höhen?)\b")
 _OF_UNITS: Final = re.compile(
     r"(?:(?:depth|height|elevation|altitude|z|linear|length|vertical|tiefen?|höhen?|hoehen?)_?)?"
     r"(?:units?|uom|einheit)(?:_(?:depth|height|elevation|z))?"
 )
 """Names of columns that hold the unit of others."""
-_OFFSET: Final = re.compile(
-    r"(?:\b(?:UTC|GMT)\s?|^)([+-])\s?(1[0-4]|0?\d)(?::?([0-5]\d)|\.(\d+))?\s?(?:h|hours?)?(?!\w)"
-)
-_OTHER_CLOCK: Final = re.compile(
-    r"(?i:gps|local|lokal|ortszeit|sommer|winter|summer|standard|daylight|pacific|eastern|mountain|central|\btai\b|"
-    r"(?<=\()(?!u|z)(?:[a-z]{1,3}t|msk)(?=\)))|(?i:zone|zeitzone)\W+(?!UTC|GMT)[A-Z]{2,4}\b|\bMES?Z\b|\bCES?T\b"
-)
-"""Words beside times that mean another clock than UTC, which nobody can tell from them."""
-_DAY_COUNTS: Final = {
-    "days since 1899-12-30 (Excel)": 25_569.0,
-    "modified Julian days": 40_587.0,
-    "days since the year 0 (MATLAB)": 719_529.0,
-    "Julian days": 2_440_587.5,
-}
-"""Counts of days -> their number on 1970-01-01."""
-_FEWEST_STEP: Final = 0.005
-"""No sounder and no receiver writes rows of a table so fast, in seconds: smaller steps are days."""
 _PACKED: Final = re.compile(r"(?i)[(\[_ ]d+[.°]?m[m.]|[(\[_ ](?:dms|ddm|dmm)\b")
 """Names of angles whose minutes follow the degrees in one number."""
 _NEGATIVE: Final = {"lat": {"s", "south", "süd"}, "lon": {"w", "west", "ouest", "oeste"}}
@@ -507,14 +467,14 @@ class Table:
         InputError : a unit that is no length, or text in more than a twentieth of the cells.
         """
         column, cells = self.columns[k], self.cells[k]
-        if column.foreign:
+        if column.foreign and not (quantity == "time" and column.foreign in _SECONDS):
             raise InputError(
                 f"column {column.name} in {column.foreign}",
                 where=self.path,
                 expected="a unit of length",
                 cure="Convert it to metres, or name another column",
             )
-        if quantity == "height":
+        if quantity in ("height", "level"):
             self._refuse_depths(k)
         values, metres = self._values(k)
         if np.isnan(values).any():
@@ -552,7 +512,7 @@ class Table:
         """Refuse a column of heights that counts downwards by its name or a remark."""
         name = self.columns[k].name
         down = next((line for line in (name, *self.remarks) if says_downwards(line)), None)
-        if down is None and re.search(r"(?i)\b(?:down(?:wards?)?|below)\b", name.replace("_", " ")):
+        if down is None and re.search(r"(?i)\b(?:down(?:wards?)?|below|depth)\b", name.replace("_", " ")):
             down = name
         if down is not None and self.find("depth") is None:
             raise InputError(
@@ -902,158 +862,32 @@ class Table:
         """Times by a column of dates, one of times, or both; see `times`."""
         if time is None:  # a clock under any name
             cells = {k: pd.Series(self.text(k)) for k in range(len(self.columns)) if k != date}
-            clocks = [k for k, c in cells.items() if len(c) and c.str.fullmatch(_CLOCK).all()]
+            clocks = [k for k, c in cells.items() if len(c) and c.str.fullmatch(CLOCK).all()]
             time = clocks[0] if len(clocks) == 1 else None
         parts = [pd.Series(self.text(k)) for k in (date, time) if k is not None]
         week, tow = self.find("week"), self.find("tow")
         if not parts and week is not None and tow is not None:
             second = self.numbers(tow, "time")
-            unit, parts_a_second = (
-                ("milliseconds", 1000.0) if (second > 2 * WEEK_S).any() else ("seconds", 1.0)
-            )
-            t_gps_s = gps_from_week(self.numbers(week, "time"), second / parts_a_second)
-            notes = [f"times taken as GPS weeks and {unit} of the week ({self.columns[tow].name})"]
+            unit = self.columns[tow].foreign or ("ms" if (second > 2 * WEEK_S).any() else "s")
+            t_gps_s = gps_from_week(self.numbers(week, "time"), second / _SECONDS[unit])
+            notes = [
+                f"times taken as GPS weeks and seconds of the week ({self.columns[tow].name}, in {unit})"
+            ]
             return unix_from_gps(t_gps_s), notes
         if not parts:
             return None
-        name = self.columns[time if time is not None else date or 0].name
-        text = parts[0] if len(parts) == 1 else parts[0].str.cat(parts[1], sep=" ")
-        written = text
-        none = f"column {name} is not read: '{text.iloc[0] if len(text) else ''}' is no time with a date"
-        number = pd.to_numeric(text, errors="coerce").to_numpy(np.float64)
-        if np.isfinite(number).mean() > 0.5:
-            step = np.diff(np.unique(number[np.isfinite(number)]))
-            since = number if step.size and np.median(step) < _FEWEST_STEP else np.full(len(number), np.nan)
-            for words, first in _DAY_COUNTS.items():
-                years = (since - first) / 365.25 + 1970
-                known = years[np.isfinite(years)]
-                if len(known) and known.min() >= 2000 and known.max() < 2001 + _LAST_YEAR:
-                    return (since - first) * DAY_S, [f"times taken as {words}, in UTC"]
-            told = [each for each in tell_time_scale(number) if each not in ("week_s", "day_s")]
-            if not told:
-                return np.full(len(text), np.nan), [none]
-            scale = next((x for x in told if ("gps" in name.lower()) != x.startswith("unix")), told[0])
-            note = f"times taken as {TIME_SCALES[scale]}"
-            if len(told) > 1:
-                note += f"; {time_scale_words(number, told)}"
-            return unix_from_gps(gps_from_scale(number, scale)), [note]
-        found = text.str.extract(_DAY)
-        if found[0].notna().mean() > 0.5:
-            text = self._iso(text, found)
-        behind = text.str.extract(r"\d ?([A-Z]{1,5}|[A-Z][a-z]+/\w+)$")[0].dropna().unique()
-        own = str(behind[0]) if len(behind) == 1 and (behind[0] in _ZONES or "/" in behind[0]) else ""
-        if own not in ("", "Z"):
-            text = text.str.removesuffix(own).str.strip()
-        zone = _zone(own)
-        if text.str.contains(_WORDED).all():
-            text = pd.to_datetime(text, format="mixed", errors="coerce").astype(str)
-        moment = pd.to_datetime(text.str.replace(" ", "T", n=1), format="ISO8601", utc=True, errors="coerce")
-        if not moment.notna().any():
-            return np.full(len(text), np.nan), [none]
-        notes = []
-        if not text.str.contains(r"(?:Z|:\d\d[.\d]*[+-]\d\d(?::?\d\d)?)$", regex=True).any():
-            said = [name, *(line for line in self.remarks if re.search(r"(?i)time|zone|uhr", line))]
-            of_rows = next((k for k, c in enumerate(self.columns) if c.words in _OF_ZONES), None)
-            zone = zone or next((each for each in map(_zone, said) if each is not None), None)
-            if of_rows is not None and not own:
-                moment = self._in_zones(moment, of_rows)
-                notes.append(f"times are in the zones of column {self.columns[of_rows].name}")
-            elif zone is not None:
-                moment = moment.dt.tz_localize(None).dt.tz_localize(zone, ambiguous="NaT", nonexistent="NaT")
-                moment = moment.dt.tz_convert("UTC")
-                notes.append(f"times are in the zone {zone}, as the table says")
-            elif not (own or re.search(r"\b(?:UTC|GMT)\b", name)):
-                notes.append("times state no zone: taken as UTC")
-                if other := next((words for words in said if _OTHER_CLOCK.search(words)), ""):
-                    ahead = ": GPS time is 18 s ahead of UTC" if "gps" in other.lower() else " or zone"
-                    notes.append(f"'{other[:60]}' may mean another clock{ahead}")
-        unix = moment.dt.tz_localize(None).to_numpy("datetime64[ns]").astype(np.int64) / 1e9
-        unix[moment.isna()] = np.nan
-        back = np.diff(unix)
-        if (
-            len(parts) == 2
-            and parts[0].nunique() == 1
-            and (back < 0).any()
-            and (back[back < 0] < -0.9 * DAY_S).all()
-        ):
-            unix[1:] += DAY_S * np.cumsum(back < 0)
-            notes.append(
-                f"times pass midnight and the date in column {self.columns[date or 0].name} stays: next day"
-            )
-        if 0 < (lost := int(moment.isna().sum())) < len(moment):
-            first = int(np.argmax(moment.isna()))
-            notes.append(f"{lost:,} times of column {name} are not read, the first '{written.iloc[first]}'")
-        if (unix[moment.notna()] % DAY_S == 0.0).all():
-            notes = [f"column {name} holds days without a time: midnight of UTC is taken"]
-        return np.where(moment.notna() & possible_unix(unix), unix, np.nan), notes
-
-    def _in_zones(self, moment: "pd.Series[Any]", k: int) -> "pd.Series[Any]":
-        """Times in UTC of times by the clock, in the zone that a column has for each row.
-
-        Raises
-        ------
-        InputError : a zone that is not known.
-        """
-        texts, local = pd.Series(self.text(k)), moment.dt.tz_localize(None)
-        out = moment.copy()
-        for text in texts.unique():
-            zone = _zone(text)
-            if _NUMBER.fullmatch(text) and not re.fullmatch(r"[+-]\d{4}", text):  # hours, minutes, seconds
-                size = float(text)
-                per_hour = next(u for u, most in ((1, 14), (60, 840), (3600, np.inf)) if abs(size) <= most)
-                quarters = 4 * size / per_hour
-                zone = (
-                    dt.timezone(dt.timedelta(hours=size / per_hour))
-                    if quarters % 1 == 0 and abs(quarters) <= 56
-                    else None
-                )
-            elif not text or {*re.findall("[A-Z]+", text)} & {"UTC", "GMT", "Z"}:
-                zone = zone or dt.UTC
-            if zone is None:
-                raise InputError(
-                    f"'{text}' in column {self.columns[k].name}",
-                    where=self.path,
-                    expected="a zone of time, such as UTC+2, CEST or Europe/Berlin",
-                    cure="Write it so, or the times in UTC",
-                )
-            rows = (texts == text).to_numpy()
-            of = local[rows].dt.tz_localize(zone, ambiguous="NaT", nonexistent="NaT")
-            out[rows] = of.dt.tz_convert("UTC")
-        return out
-
-    def _iso(self, text: "pd.Series[str]", found: pd.DataFrame) -> "pd.Series[str]":
-        """Times with year, month and day in the order of ISO 8601."""
-        a, b, year = (pd.to_numeric(found[k], errors="coerce") for k in (0, 2, 3))
-        point = (found[1] == ".").any()
-        last = year.nunique() > 1
-        if (
-            (last or not point)
-            and b.max() <= 12
-            and year.max() <= 31
-            and a.nunique() == 1
-            and a.max() <= _LAST_YEAR
-        ):
-            if last == point and a.max() != year.max():
-                raise InputError(
-                    f"dates such as {text.iloc[0]}, in which the first or the last number may be the year",
-                    where=self.path,
-                    expected="years of four digits",
-                    cure="Write the dates as 2024-06-12, or leave the column out",
-                )
-            return pd.Series(
-                [f"20{y:02.0f}-{m:02.0f}-{d:02.0f}" for y, m, d in zip(a, b, year, strict=True)]
-            ).str.cat(found[4].fillna("").str.strip(" ,T"), sep=" ")
-        if not point and a.max() <= 12 and b.max() <= 12 and not (a == b).all():
-            raise InputError(
-                f"dates such as {text.iloc[0]}",
-                where=self.path,
-                expected="a day that tells it from the month, or year-month-day",
-                cure="Write the dates as 2024-06-12, or leave the column out",
-            )
-        day, month = (a, b) if point or a.max() > 12 else (b, a)
-        year = year.where(year > 99, year + 2000)
-        iso = [f"{y:04.0f}-{m:02.0f}-{d:02.0f}" for y, m, d in zip(year, month, day, strict=True)]
-        return pd.Series(iso).str.cat(found[4].fillna("").str.strip(" ,T"), sep=" ").str.strip()
+        of_zones = next((k for k, c in enumerate(self.columns) if c.words in _OF_ZONES), None)
+        unix, notes = unix_of_texts(
+            parts[0] if len(parts) == 1 else parts[0].str.cat(parts[1], sep=" "),
+            self.columns[time if time is not None else date or 0].name,
+            remarks=self.remarks,
+            zones=None if of_zones is None else (self.columns[of_zones].name, pd.Series(self.text(of_zones))),
+            where=self.path,
+        )
+        if len(parts) == 2 and parts[0].nunique() == 1 and (later := past_midnight(unix)) is not unix:
+            name = self.columns[date or 0].name
+            return later, [*notes, f"times pass midnight and the date in column {name} stays: next day"]
+        return unix, notes
 
     # -------------------------------- rows as texts
 
@@ -1121,18 +955,6 @@ def _without_unit(name: str) -> str:
     bare = re.sub(r"[(\[{<][^)\]}>]*[)\]}>]\s*$", "", name).strip().lower()
     head, _, tail = bare.rpartition("_")
     return head if head and unit_of_word(tail) is not None else bare
-
-
-def _zone(text: str) -> dt.tzinfo | None:
-    """The zone of time that words name, as ``UTC+2``, ``(CEST)``, ``Europe/Berlin``; None: none, or UTC."""
-    if found := re.search(r"\b[A-Z][a-z]+/[A-Z]\w+", text):
-        with contextlib.suppress(ZoneInfoNotFoundError, OSError, ValueError):
-            return ZoneInfo(found[0])
-    if found := _OFFSET.search(text):
-        minutes = 60 * int(found[2]) + int(found[3] or 0) + round(60 * float(f"0.{found[4] or 0}"))
-        return dt.timezone(dt.timedelta(minutes=-minutes if found[1] == "-" else minutes))
-    hours = {_ZONES[word] for word in re.findall(r"[A-Z]+", text) if word in _ZONES}
-    return dt.timezone(dt.timedelta(hours=hours.pop())) if len(hours) == 1 and any(hours) else None
 
 
 def _angle(text: str, letters: str) -> float:
