@@ -280,7 +280,7 @@ def test_columns_that_may_mark_rows(tmp_path, name):
     assert f"column {name} may mark rows that do not count: it is not read" in read_text_table(path).notes
 
 
-@pytest.mark.parametrize("word", ["AVG", "Mittelwert", "Maximum:"])
+@pytest.mark.parametrize("word", ["AVG", "Mittelwert", "Maximum:", "Mean depth", "Min of y"])
 def test_rows_of_totals(tmp_path, word):
     below = f"{word},412027,5650018,2.5\n"
     path = rows(tmp_path / "t.csv", "id,x,y,depth", range(N), EAST, NORTH, DEPTH, below=below)

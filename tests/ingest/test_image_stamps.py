@@ -261,6 +261,10 @@ def test_a_time_of_a_table_by_hand(case):
     assert stamp == pytest.approx((UNIX, *map(float, expected)), abs=3e-7)
 
 
+def test_a_time_without_seconds_is_told_to_the_minute():
+    assert _stamp("2021-05-12T08:31Z", "time_utc", "a").resolution_s == 60.0
+
+
 def test_a_table_of_times(tmp_path, saved):
     for name in ("a.jpg", "b.jpg", "c.jpg"):
         photo(tmp_path / name)
@@ -279,6 +283,8 @@ def test_a_table_of_times(tmp_path, saved):
         ("name,time\na,1\n", "columns"),
         ("file,unix_s\na.jpg,x\n", "no time"),
         ("file,unix_s\na.jpg,12\n", "no date of a survey"),
+        ("file,time_utc\na.jpg,2021-05-12\n", "no time"),
+        ("file,time_utc\na.jpg,2021-05-12T08:31.5\n", "no time"),  # half a minute
         ("file,unix_s\na.jpg,1620808267\na.jpg,1620808268\n", "twice"),
         ("file,unix_s\n,1620808267\n", "without file name"),
     ],

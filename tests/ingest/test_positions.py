@@ -185,3 +185,6 @@ def test_a_remark_on_the_unit_of_depths_is_refused_unless_they_state_it(tmp_path
         read_depths([path])
     path.write_text(f'<gpx version="1.1">{remark}{gpx_track(0, "<depth_ft>10</depth_ft>")}</gpx>')
     assert read_depths([path]).depths["depth_m"].tolist() == pytest.approx([3.048] * 20)
+    path.write_text(f"""<gpx version="1.1">{gpx_track(0, "<depth_ft unit='m'>10</depth_ft>")}</gpx>""")
+    with pytest.raises(InputError, match="depth ft in 'm'"):
+        read_depths([path])

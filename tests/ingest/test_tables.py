@@ -215,6 +215,28 @@ def test_nines_beyond_all_other_depths_stand_for_none(read):
     assert np.isfinite(read(lake).numbers(0, "depth")).all()
 
 
+def test_a_single_zero_far_from_all_heights_stands_for_none(read):
+    heights = read("z\n97.1\n97.2\n0\n97.0\n97.4\n97.3\n")
+    assert np.isnan(heights.numbers(0, "height")).tolist() == [0, 0, 1, 0, 0, 0]
+    assert np.isfinite(heights.numbers(0, "height", keep=[0.0])).all()
+    assert np.isfinite(read("z\n1.1\n0.7\n0\n0.5\n1.9\n1.2\n").numbers(0, "height")).all()
+
+
+def test_rows_of_heights_and_their_sigmas(read):
+    """Which of two heights, 95 % and a datum are said; two columns of one name are refused."""
+    names = {"z": ("z", "height", "elevation"), "sigma_up_m": ("sigma_z",)}
+    table = read("x,height (m NHN),elevation,sigma_z_95\n1,151,106,0.0392\n2,152,107,0.0196\n")
+    found = table.rows(names)
+    assert [row["z"] for row in found] == ["151", "152"]
+    assert [float(row["sigma_up_m"]) for row in found] == pytest.approx([0.02, 0.01])
+    told = " ".join(table.notes)
+    for words in ("datum is not read", "taken as the height, not elevation", "divided by 1.96"):
+        assert words in told
+    with pytest.raises(InputError, match="several columns of z: z, z"):
+        read("x,z,z\n1,151,106\n2,152,107\n").rows(names)
+    assert len(read("x,z,z\n1,151,151\n2,152,152\n").rows(names)) == 2
+
+
 def test_names_in_other_languages_are_quantities(read):
     for head in ("Est;Nord;Profondità", "Este;Norte;Profundidad (m)", "X/Ost;Y/Nord;Wassertiefe [m]"):
         table = read(f"{head}\n1;2;3\n2;3;4\n")

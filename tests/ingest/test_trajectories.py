@@ -332,6 +332,8 @@ def test_yaw_and_zeros_of_inertial_explorer_are_told(tmp_path):
     [
         ("# time lat lon alt qx qy qz qw", "51.05 13.75 150", "latitudes and longitudes"),
         ("# time p_SR_R_x p_SR_R_y p_SR_R_z q_SR_x q_SR_y q_SR_z q_SR_w", "1 2 3", "world in the body"),
+        ("# t x y z roll pitch yaw sigma", "1 2 3", "angles instead of a quaternion"),
+        ("# time tx[mm] ty[mm] tz[mm] qx qy qz qw", "1 2 3", "another unit than metres"),
         ("# time x y z qx qy qz qw", "412000 5656000 155", "5,656 km from the origin"),
     ],
 )

@@ -611,9 +611,10 @@ def _rows_and_table(path: Path, needed: Sequence[str]) -> tuple[list[dict[str, s
             where=path,
             cure="Write the names of the columns above the numbers",
         )
+    rows = named_rows(table)
     for note in table.notes:
         log.warning("%s: %s", path.name, note)
-    return named_rows(table), table
+    return rows, table
 
 
 def _note_sigmas(rows: list[dict[str, str]], table: Table) -> None:

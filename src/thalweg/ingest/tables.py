@@ -187,6 +187,10 @@ _OF_NOTHING: Final = re.compile(
 """A remark that states which number stands for none."""
 _OF_95: Final = re.compile(r"(?i)95|1[.,]96|\b2\W?(?:s|sd|std|sigma|σ)\b")
 """Names of uncertainties that hold with 95 %."""
+_OF_DATUM: Final = re.compile(r"(?i)\b(?:dhhn|nhn|nn|navd|ngvd|a?msl|asl|mllw|orthom|geoid|egm)")
+"""Heights above something else than the ellipsoid."""
+_FEWEST_HEIGHTS: Final = 5
+"""Different ones that show a 0 far from all of them to be none."""
 _ANGLE: Final = re.compile(
     r"\s*([NSEW])?\s*([-+−]?\d+(?:[.,]\d+)?)\s*(?:[°d:\s]\s*(\d+(?:[.,]\d+)?)\s*(?:['′m:\s]\s*(\d+(?:[.,]\d+)?)\s*(?:''|\"|″|s)?)?)?"
     r"\s*['′°]?\s*([NSEW])?\s*",
@@ -393,14 +397,17 @@ class Table:
         if len(found) > 1 and len(plain) == 1:  # depth beside depth_corrected: what is named without more
             return plain[0]
         if len(found) > 1:
-            listed = ", ".join(self.columns[k].name for k in found)
-            raise InputError(
-                f"several columns of {quantity}: {listed}",
-                expected="one of them",
-                where=self.path,
-                cure="Name the one that is meant, or rename the others",
-            )
+            self._refuse_several(quantity, found)
         return found[0] if found else None
+
+    def _refuse_several(self, quantity: str, found: Sequence[int]) -> None:
+        listed = ", ".join(self.columns[k].name for k in found)
+        raise InputError(
+            f"several columns of {quantity}: {listed}",
+            expected="one of them",
+            where=self.path,
+            cure="Name the one that is meant, or rename the others",
+        )
 
     def _all(self, quantity: str, names: Mapping[str, str] = NAMES) -> list[int]:
         known = names[quantity].split()
@@ -498,9 +505,7 @@ class Table:
         none = is_nothing(values, kind, [*nothing, *declared], keep) & np.isfinite(values)
         if kind == "sigma":
             none |= values <= 0
-            if _OF_95.search(column.name):
-                metres = metres / 1.96
-                self._note(f"column {column.name} divided by 1.96, from 95 % to one standard deviation")
+            metres = metres / self._sigmas_in(k)
         if kind in ("depth", "height"):
             none |= _stand_ins(np.where(none, np.nan, values), keep)
         if none.any():
@@ -508,8 +513,15 @@ class Table:
             self._lose(f"with {shown}, which stands for no value,", column.name, none)
         return np.where(none, np.nan, values * metres)
 
+    def _sigmas_in(self, k: int) -> float:
+        """How many standard deviations the values of a column of them are."""
+        if not _OF_95.search(name := self.columns[k].name):
+            return 1.0
+        self._note(f"column {name} divided by 1.96, from 95 % to one standard deviation")
+        return 1.96
+
     def _refuse_depths(self, k: int) -> None:
-        """Refuse a column of heights that counts downwards by its name or a remark."""
+        """Refuse a column of heights that counts downwards by its name or a remark; note another datum."""
         name = self.columns[k].name
         down = next((line for line in (name, *self.remarks) if says_downwards(line)), None)
         if down is None and re.search(r"(?i)\b(?:down(?:wards?)?|below|depth)\b", name.replace("_", " ")):
@@ -522,6 +534,8 @@ class Table:
                 expected="heights, positive upwards",
                 cure="Call the column depth, or change its sign",
             )
+        if _OF_DATUM.search(name.replace("_", " ")):
+            self._note(f"column {name}: its datum is not read, the heights are taken as they stand")
 
     def _values(self, k: int) -> tuple[ArrayF, ArrayF]:
         """Numbers (n,) of a column as they stand, NaN where there is none, and the metres of their units.
@@ -905,13 +919,22 @@ class Table:
             for ours, known in names.items()
             if (k := next((d[n] for n in known for d in (heads, words) if n in d), None)) is not None
         }
+        of_heights = NAMES["height"].split()
+        of_sigmas = {ours for ours in names if ours.startswith("sigma") or ours == "accuracy"}
         for ours, k in where.items():
             fits = _OF_IMAGES | (_ANGLES.keys() if ours in _OF_ATTITUDE else set())
             if self.columns[k].foreign and self.columns[k].foreign not in fits:
                 self.numbers(k)  # refuses it
+            others = [j for j in range(len(self.columns)) if j != k and self.text(j) != self.text(k)]
+            name = self.columns[k].name
+            if again := [j for j in others if self.columns[j].name.lower() == name.lower()]:
+                self._refuse_several(name, [k, *again])
             if ours in ("z", "up_m", "h_ell_m"):
                 self._refuse_depths(k)
-        columns = {ours: self._plain(k) for ours, k in where.items()}
+                heights = [c.name for c in map(self.columns.__getitem__, others) if c.words in of_heights]
+                if heights:
+                    self._note(f"column {name} taken as the height, not {', '.join(heights)}")
+        columns = {ours: self._plain(k, sigma=ours in of_sigmas) for ours, k in where.items()}
         for ours, quantity in (("lat_deg", "lat"), ("lon_deg", "lon")):
             k = where.get(ours)
             if k is not None and self.find(quantity) == k and self._has_sides(k, quantity):
@@ -923,10 +946,11 @@ class Table:
             else []
         )
 
-    def _plain(self, k: int) -> list[str]:
+    def _plain(self, k: int, *, sigma: bool) -> list[str]:
         """Cells of a column, numbers as Python reads them and in metres."""
-        out = self.text(k)
-        for row, (value, metres) in enumerate(zip(*(x.tolist() for x in self._values(k)), strict=True)):
+        out, (values, factors) = self.text(k), self._values(k)
+        factors = factors / self._sigmas_in(k) if sigma else factors
+        for row, (value, metres) in enumerate(zip(values.tolist(), factors.tolist(), strict=True)):
             if not np.isnan(value) and (metres != 1.0 or not _NUMBER.fullmatch(out[row]) or self.thousands):
                 out[row] = repr(value * metres)
         return out
@@ -942,11 +966,14 @@ class Places:
 
 
 def _stand_ins(values: ArrayF, keep: Sequence[float]) -> ArrayB:
-    """Depths and heights that repeat far from all others, or such as 99.9 that exceed all others by far."""
+    """Depths and heights that repeat far from all others; 0, and such as 99.9, where others are far away."""
     known = np.unique(values[np.isfinite(values)])
     found = set(far_repeated(values))
     if len(known) > 1 and known[-1] > 3 * np.abs(known[[0, -2]]).max():
         found |= {float(known[-1])} if re.fullmatch(r"99+(\.9+)?|9\.9+", f"{known[-1]:.15g}") else set()
+    others = known[known != 0]
+    if _FEWEST_HEIGHTS <= len(others) < len(known) and np.abs(others).min() > 10 * np.ptp(others):
+        found |= {0.0}
     return np.isin(values, list(found - set(keep)))
 
 
@@ -1385,7 +1412,9 @@ def _whole_rows(table: Table, head: list[str] | None, width: int) -> Table:
     """The table without repeated headers and without rows of more cells than there are columns."""
     cells = table.cells
     keep = np.ones(len(cells), dtype=np.bool_)
-    total = cells[0].str.lower().str.rstrip(":").isin(_TOTALS).to_numpy(np.bool_).copy()
+    named = "|".join(re.escape(c.name.lower()) for c in table.columns if c.name)
+    label = rf"(?:{'|'.join(_TOTALS)})(?: (?:of )?(?:{named}))?:?"
+    total = cells[0].str.lower().str.fullmatch(label).to_numpy(np.bool_).copy()
     total[:-_LAST_ROWS] = False
     if total.any() and not total.all():
         table.losses["of a total or a mean"] = _count(total, table.line)

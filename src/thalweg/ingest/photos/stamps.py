@@ -200,10 +200,13 @@ def read_time_table(path: Path) -> dict[str, CivilStamp]:
 def _stamp(text: str, form: str, where: str) -> CivilStamp:
     digits = len(found.group(1)) if (found := re.search(r"[.,](\d+)", text)) else 0
     fraction = int(found.group(1)) / 10**digits if found else 0.0
-    whole = re.sub(r"[.,]\d+", "", text)
+    whole, step_s = re.sub(r"[.,]\d+", "", text), 1.0
     try:
         if form == "time_utc":
-            moment = dt.datetime.fromisoformat(whole)
+            clock = re.search(r"[Tt _]\d\d:?\d\d(:?\d\d)?(?=[Zz+-]|$)", whole)
+            step_s = 1.0 if clock and clock[1] else 60.0
+            # neither a day alone nor parts of a minute are told to the second
+            moment = dt.datetime.fromisoformat(whole if clock and (clock[1] or not found) else "")
             offset_s = (moment.utcoffset() or dt.timedelta()).total_seconds()
             second = int(moment.replace(tzinfo=dt.UTC).timestamp())
         else:
@@ -228,7 +231,9 @@ def _stamp(text: str, form: str, where: str) -> CivilStamp:
             expected="a time after 1980",
             cure=time_scale_words(size, tell_time_scale(size)) if size else "Look at the clock of the camera",
         )
-    return CivilStamp(second_s=second, fraction_s=fraction, resolution_s=10.0**-digits, utc_offset_s=offset_s)
+    return CivilStamp(
+        second_s=second, fraction_s=fraction, resolution_s=step_s * 10.0**-digits, utc_offset_s=offset_s
+    )
 
 
 # ---------------------------------------------------------------- stamps

@@ -8,6 +8,7 @@
 ``sigma_m`` is the standard deviation of a height. Other columns are left out.
 """
 
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +21,7 @@ from thalweg.core import ArrayF, InputError, LocalFrame
 from thalweg.core.values import FORMS, near_world
 from thalweg.ingest import read_places
 
+log = logging.getLogger("thalweg")
 COLUMNS: Final = ("east_m", "north_m", "h_ell_m", "sigma_m")
 
 FEWEST: Final = 3
@@ -84,6 +86,8 @@ def _read(path: Path, crs: CRS) -> ArrayF:
             cure="Name the columns in the first line",
         )
     numbers = np.column_stack([found.xy_m, table.numbers(height, "height"), table.numbers(sigma, "sigma")])
+    for note in (*table.notes, *found.notes):
+        log.warning("%s: %s", path.name, note)
     bad = np.argwhere(~np.isfinite(numbers) | ((numbers <= 0) & [False, False, False, True]))
     if len(bad):
         row, column = bad[0]

@@ -82,6 +82,10 @@ _FRAMES: Final = re.compile(
 _OTHER_COLUMNS: Final = (
     (r"(?:^|[\s,;#])(?:lat|latitude)(?:_?deg)?[\s,;]+(?:lon|long|lng|longitude)(?:_?deg)?[\s,;\w]*q_?[wx]",
      "latitudes and longitudes", "Give it as a table of positions, or turn its places into metres"),
+    (r"(?i)^(?!.*(?:q_?[wxyz]|quat)).*(?<![a-z])[tp]?_?z\W+(?:roll|yaw|pitch|heading|omega)",
+     "angles instead of a quaternion", "Turn them into a quaternion"),
+    (r"(?i)(?<![a-z])[tp]?_?[xyz]\s?[\[(_](?:[cm]m|km|ft|feet|us.?ft)\b",
+     "places in another unit than metres", "Convert them to metres"),
     (r"(?i)\b[pq]_SR_", "poses of the world in the body (SR)", "Invert them: the body in the world (RS)"),
 )  # fmt: skip
 """Columns that name something else than poses of the body in a world in metres."""
@@ -799,10 +803,13 @@ def _depth_m(point: Element) -> float | None:
         text = (each.text or "").strip()
         if name.words != "depth" or not text:
             continue
-        stated = next((each.attrib[key] for key in ("unit", "units", "uom") if key in each.attrib), "m")
-        unit = name.unit or unit_of_word(stated)
-        if unit is None:
-            raise ValueError(f"depths in '{stated}'")
+        stated = next(
+            (each.attrib[key] for key in ("unit", "units", "uom") if key in each.attrib),
+            name.unit.name if name.unit else "m",
+        )
+        unit = unit_of_word(stated)
+        if unit is None or name.unit not in (None, unit):
+            raise ValueError(f"{name.name} in '{stated}'")
         value = float(text)
         return float("nan") if is_nothing(value, "depth") else value * unit.metres
     return None
