@@ -13,7 +13,7 @@ from tests.conftest import check_whole, time_limit
 from thalweg.core import InputError
 from thalweg.core.values import FOOT, US_SURVEY_FOOT, is_nothing
 from thalweg.ingest import column_of, read_text_table
-from thalweg.ingest.tables import _refuse_decimal_commas
+from thalweg.ingest.text_tables import _refuse_decimal_commas
 
 UTM = CRS("EPSG:32633")
 PLACES = np.array([[412000.0, 5650000.0], [412100.0, 5650100.0], [412030.0, 5650200.0]])
@@ -100,7 +100,7 @@ def test_rows_that_are_not_taken_are_counted_with_their_first_line(read):
 def test_a_large_file_of_numbers_is_the_same_as_a_small_one(tmp_path, read, monkeypatch):
     text = "y x z\n" + "\n".join(f"{5650000 + k} {412000 + 2 * k} {k / 8}" for k in range(60))
     slow = read(text)
-    monkeypatch.setattr("thalweg.ingest.tables._LARGE", 10)
+    monkeypatch.setattr("thalweg.ingest.text_tables._LARGE", 10)
     fast = read_text_table(tmp_path / "table.csv")
     assert fast.cells[0].dtype.kind == "f"
     assert slow.cells[0].dtype.kind != "f"

@@ -61,12 +61,8 @@ from .stamps import (
     time_scale_words as time_scale_words,
     weighted_median as weighted_median,
 )
-from .tables import (
-    NAMES as NAMES,
-    Column as Column,
-    Places as Places,
-    Table as Table,
-    column_of as column_of,
+from .tables import NAMES as NAMES, Column as Column, Places as Places, Table as Table, column_of as column_of
+from .text_tables import (
     read_places as read_places,
     read_text as read_text,
     read_text_table as read_text_table,

@@ -1,7 +1,7 @@
 """Loggers that write plain tables: the track of a receiver, the depths of a sounder, each with its times.
 
 A table of place and depth in one row is no log of a stream: `thalweg bed` reads it as it is. Columns are
-known by their names, times as `thalweg.ingest.tables` reads them.
+known by their names, times as `thalweg.ingest.moments` reads them.
 """
 
 import re
