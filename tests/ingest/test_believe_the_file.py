@@ -342,6 +342,7 @@ def test_a_deep_place_and_coarse_numbers_are_no_stand_ins():
         ("gps_week,tow (s)", "2318,295218.{:02d}", TEN),
         ("time", "2024-06-12 12:00:{:02d} +0200", TEN),
         ("time", "2024-06-12 12:00:{:02d} UTC+2", TEN),
+        ("time", "2024-06-12 12:00:{:02d} Europe/Berlin", TEN),
         ("time", "Wed Jun 12 2024 12:00:{:02d} GMT+0200 (Central European Summer Time)", TEN),
         ("# Zeit in MEZ\ntime", "2024-06-12 11:00:{:02d}", TEN),
         ("time,tz_cd", "2024-06-12 06:00:{:02d},EDT", TEN),
@@ -358,6 +359,8 @@ def test_zones_that_a_table_states(tmp_path, head, cells, unix_s):
 def test_zones_that_change_with_the_rows(tmp_path):
     path = tmp_path / "t.csv"
     path.write_text("time,tz,x\n2024-10-27 02:59:58,CEST,1\n2024-10-27 02:00:02,CET,1\n")
+    assert np.diff(read_text_table(path).times()[0]) == pytest.approx(4.0)
+    path.write_text("time,x\n2024-10-27 02:59:58 CEST,1\n2024-10-27 02:00:02 CET,1\n")
     assert np.diff(read_text_table(path).times()[0]) == pytest.approx(4.0)
     path.write_text("time,tz,x\n2024-06-12 11:00:00,BST,1\n2024-06-12 11:00:01,BST,1\n")
     with pytest.raises(InputError, match="'BST' in column tz"):

@@ -45,6 +45,8 @@ _ZONES: Final = {name: float(first) for first, *names in map(str.split, _HOURS.s
 _OFFSET: Final = re.compile(
     r"(?:\b(?:UTC|GMT)\s?|^)([+-])\s?(1[0-4]|0?\d)(?::?([0-5]\d)|\.(\d+))?\s?(?:h|hours?)?(?!\w)"
 )
+_ZONE_BEHIND: Final = re.compile(r" ?(?<![A-Za-z])([A-Z]{1,5})(?: ?([+-])(\d\d?)(?::?(\d\d))?)?$")
+"""A zone behind a time: CEST, Z, and GMT+0200, whose sign other readers turn round."""
 _OTHER_CLOCK: Final = re.compile(
     r"(?i:gps|local|lokal|ortszeit|sommer|winter|summer|standard|daylight|pacific|eastern|mountain|central|\btai\b|"
     r"(?<=\()(?!u|z)(?:[a-z]{1,3}t|msk)(?=\)))|(?i:zone|zeitzone)\W+(?!UTC|GMT)[A-Z]{2,4}\b|\bMES?Z\b|\bCES?T\b"
@@ -86,23 +88,15 @@ def unix_of_texts(
     number = pd.to_numeric(texts, errors="coerce").to_numpy(np.float64)
     unread = f"column {name} is not read: '{texts.iloc[0] if len(texts) else ''}' is no time with a date"
     if np.isfinite(number).mean() > 0.5:
-        return unix_of_numbers(number, name) or (np.full(len(texts), np.nan), [unread])
-    # GMT+0200 (Central European Summer Time), whose sign other readers turn round
-    text = texts.str.replace(r" \([\w ]+\)$", "", regex=True).str.replace(
-        r" ?(?:UTC|GMT) ?([+-])(\d\d?)(?::?(\d\d))?$",
-        lambda found: f"{found[1]}{found[2]:0>2}:{found[3] or '00'}",
-        regex=True,
-    )
+        return _unix_of_numbers(number, name) or (np.full(len(texts), np.nan), [unread])
+    text = texts.str.replace(r" (?:\([\w ]+\)|[A-Z][a-z]+/\w+)$", "", regex=True)
+    text = text.str.replace(_ZONE_BEHIND, _offset_of, regex=True)
     notes = []
     found = text.str.extract(_DAY)
     if found[0].notna().mean() > 0.5:
         text = _iso(text, found, where)
         if found[3].str.len().eq(2).any():
             notes.append(f"dates such as {texts.iloc[0]} taken as {text.iloc[0][:10]}")
-    behind = text.str.extract(r"\d ?([A-Z]{1,5}|[A-Z][a-z]+/\w+)$")[0].dropna().unique()
-    own = str(behind[0]) if len(behind) == 1 and (behind[0] in _ZONES or "/" in behind[0]) else ""
-    if own not in ("", "Z"):
-        text = text.str.removesuffix(own).str.strip()
     if text.str.contains(_WORDED).all() and text.str.contains(_WITH_YEAR).all():
         with_offset = bool(text.str.contains(r"[+-]\d\d:?\d\d$").any())
         text = pd.to_datetime(text, format="mixed", errors="coerce", utc=with_offset).astype(str)
@@ -111,14 +105,14 @@ def unix_of_texts(
         return np.full(len(texts), np.nan), [unread]
     if not text.str.contains(r"(?:Z|:\d\d[.\d]* ?[+-]\d\d(?::?\d\d)?)$", regex=True).any():
         said = [name, *filter(_OF_CLOCKS.search, remarks)]
-        zone = stated_zone(own, *said)
-        if zones is not None and not own:
+        zone = stated_zone(str(texts.iloc[0]), *said)
+        if zones is not None:
             moment = _in_zones(moment, *zones, where)
             notes.append(f"times are in the zones of column {zones[0]}")
         elif zone is not None:
             moment = _to_utc(moment, zone)
             notes.append(f"times are in the zone {zone}, as the table says")
-        elif not (own or re.search(r"\b(?:UTC|GMT)\b", name)):
+        elif not re.search(r"\b(?:UTC|GMT)\b", name):
             notes.append("times state no zone: taken as UTC")
             if other := next((words for words in said if _OTHER_CLOCK.search(words)), ""):
                 ahead = ": GPS time is 18 s ahead of UTC" if "gps" in other.lower() else " or zone"
@@ -133,7 +127,7 @@ def unix_of_texts(
     return np.where(moment.notna() & possible_unix(unix), unix, np.nan), notes
 
 
-def unix_of_numbers(number: ArrayF, name: str) -> tuple[ArrayF, list[str]] | None:
+def _unix_of_numbers(number: ArrayF, name: str) -> tuple[ArrayF, list[str]] | None:
     """Unix time (n,) of numbers that count days, or on a scale of `TIME_SCALES`; None for any others.
 
     Parameters
@@ -175,6 +169,14 @@ def stated_zone(*texts: str) -> dt.tzinfo | None:
     (datetime.timezone(datetime.timedelta(seconds=3600)), None)
     """
     return next((zone for zone in map(_zone, texts) if zone is not None), None)
+
+
+def _offset_of(found: re.Match[str]) -> str:
+    """The offset from UTC in the place of a `_ZONE_BEHIND` that names one; other words as they are."""
+    word, sign, hours, minutes = found.groups()
+    if word not in _ZONES or (sign and _ZONES[word]):
+        return found[0]
+    return f"{sign}{hours:0>2}:{minutes or '00'}" if sign else f"{_ZONES[word]:+03.0f}:00"
 
 
 def _zone(text: str) -> dt.tzinfo | None:
