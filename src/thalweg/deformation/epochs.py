@@ -47,15 +47,14 @@ from thalweg.core import (
     read_json,
     symmetric_roots,
 )
-from thalweg.deformation.field import ErrorField, ErrorGroup, SharedErrors, rows_of_weights
+from thalweg.deformation.field import TURNS, ErrorField, ErrorGroup, SharedErrors, rows_of_weights
 from thalweg.deformation.m3c2 import ColumnIndex, Weights, pose_weights
+from thalweg.deformation.spatial import SpatialErrors
 from thalweg.navigation.ins_gnss import PoseCorrelation
 from thalweg.surface import Area
 
 CLOCK: Final = "clock of the scanner"
 """Group of the error that all stamps of the scanner share."""
-TURNS: Final = ("attitude", "mount, rotation")
-"""Groups whose error is a small rotation; all others shift."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -121,10 +120,8 @@ class Epoch:
                 "t_s", "boat_m", "scanner_m", "levers", "water_m",
             )
         }  # fmt: skip
-        arrays |= {f"root_{i}": group.root for i, group in enumerate(self.groups)}
         for i, group in enumerate(self.groups):
-            if isinstance(group, ErrorGroup) and group.link is not None:
-                arrays |= {f"link_{i}": group.link, f"nodes_{i}": group.t_s}
+            arrays |= {f"{name}_{i}": values for name, values in group.stored().items()}
         np.savez(points, allow_pickle=False, **arrays)
         errors.write_text(json.dumps(self.report(), indent=2) + "\n")
 
@@ -138,13 +135,10 @@ class Epoch:
             "groups": [
                 {
                     "name": group.name,
-                    "correlation_s": group.correlation_s if np.isfinite(group.correlation_s) else None,
-                    "lasts": _lasts(group),
+                    **group.facts(),
                     "sigma": np.sqrt(np.mean(np.sum(group.root**2, axis=2), axis=0)).tolist(),
-                    "unit": "m, rad" if group.link is not None else "rad" if group.name in TURNS else "m",
                 }
                 for group in self.groups
-                if isinstance(group, ErrorGroup)
             ],
         }
 
@@ -154,13 +148,15 @@ class Epoch:
         facts = read_json(folder / "errors.json")
         with np.load(folder / "points.npz") as stored:
             arrays = dict(stored)
-        groups = []
-        for i, each in enumerate(facts["groups"]):
-            root, link = arrays.pop(f"root_{i}"), arrays.pop(f"link_{i}", None)
-            t_s = arrays.pop(f"nodes_{i}", arrays["t_s"])
-            time_s = np.inf if each["correlation_s"] is None else each["correlation_s"]
-            groups.append(ErrorGroup(each["name"], t_s, root, time_s if link is None else np.nan, link))
-        return cls(name=facts["name"], start_gps_s=facts["start_gps_s"], groups=tuple(groups), **arrays)
+        groups = tuple(_group(each, i, arrays) for i, each in enumerate(facts["groups"]))
+        return cls(
+            name=facts["name"], start_gps_s=facts["start_gps_s"], groups=groups, **cls.stated(facts), **arrays
+        )
+
+    @staticmethod
+    def stated(_: Mapping[str, Any]) -> dict[str, Any]:
+        """What else ``errors.json`` holds of such an epoch."""
+        return {}
 
     @property
     def has_trajectory(self) -> bool:
@@ -277,11 +273,17 @@ def prepare_epoch(
     )
 
 
-def _lasts(group: ErrorGroup) -> str:
-    """How long errors of a group last, in words."""
-    if group.link is not None:
-        return "from node to node as the trajectory says"
-    return "all the time" if np.isinf(group.correlation_s) else f"{group.correlation_s:g} s"
+def _group(facts: Mapping[str, Any], number: int, arrays: dict[str, AnyArray]) -> SharedErrors:
+    """A group of errors by its facts and its arrays, which are taken out."""
+    root, link, t_s, cell = (
+        arrays.pop(f"{name}_{number}", None) for name in ("root", "link", "nodes", "cell")
+    )
+    if cell is not None:
+        return SpatialErrors(facts["name"], cell, facts["cell_m"], root, facts["correlation_m"])
+    time_s = np.nan if link is not None else facts["correlation_s"]
+    return ErrorGroup(
+        facts["name"], arrays["t_s"] if t_s is None else t_s, root, np.inf if time_s is None else time_s, link
+    )
 
 
 def _interpolation(t_s: ArrayF, nodes_s: ArrayF) -> sp.csr_matrix:

@@ -22,10 +22,9 @@ The sums are the same with the matrix M_k in place of the exponential.
 Source: Gelb (1974), Applied Optimal Estimation, 2.2, for the process; the sums are written out here.
 """
 
-import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final, Protocol
+from typing import Any, Final
 
 import numpy as np
 import scipy.sparse as sp
@@ -33,33 +32,58 @@ import scipy.sparse as sp
 from thalweg.core import AnyArray, ArrayF, ArrayI, ErrorChain, GeometryError, njit, prange, symmetric_roots
 from thalweg.deformation.m3c2 import Weights
 
+TURNS: Final = ("attitude", "mount, rotation")
+"""Groups whose error is a small rotation; all others shift."""
 COMMON: Final = "stated, common to all"
 """Group of an error that all heights of an epoch share; a motion that is taken off holds it."""
 
 
-class SharedErrors(Protocol):
-    """One kind of error at m moments or places: what a field needs to know of it."""
+class SharedErrors:
+    """One kind of error at m moments or places: c components from d ones of unit variance.
 
-    @property
-    def name(self) -> str:
-        """What errs."""
+    Attributes
+    ----------
+    name : what errs.
+    root : (m, c, d) roots of the covariance of the c components at each moment or place.
+    """
 
-    @property
-    def root(self) -> ArrayF:
-        """Roots (m, c, d) of the covariance of c components at each moment or place."""
+    __slots__ = ()
+    name: str
+    root: ArrayF
 
     def variances(self, rows: sp.csr_matrix) -> ArrayF:
         """Variance (k,) of products with these derivatives (k, c m)."""
+        raise NotImplementedError
+
+    def correlated(self, u: ArrayF) -> ArrayF:
+        """Correlation matrix of the d components of all moments or places, times (m, d, q)."""
+        raise NotImplementedError
+
+    def unit_draw(self, rng: np.random.Generator) -> ArrayF:
+        """The d components (m, d), drawn."""
+        raise NotImplementedError
+
+    def facts(self) -> dict[str, Any]:
+        """How long or how far it lasts, and its unit."""
+        raise NotImplementedError
+
+    def stored(self) -> Mapping[str, AnyArray]:
+        """Arrays from which, with its facts, it is made again."""
+        raise NotImplementedError
 
     def times_covariance(self, columns: ArrayF) -> ArrayF:
         """Covariance matrix of all errors (c m, c m) times columns (c m, q), without the matrix."""
+        m, c, _ = self.root.shape
+        u = np.einsum("kji,kjq->kiq", self.root, columns.reshape(m, c, -1))
+        return np.einsum("kij,kjq->kiq", self.root, self.correlated(u)).reshape(c * m, -1)
 
     def draw(self, rng: np.random.Generator) -> ArrayF:
         """Errors (c m,), drawn."""
+        return np.einsum("kij,kj->ki", self.root, self.unit_draw(rng)).ravel()
 
 
 @dataclass(frozen=True, slots=True)
-class ErrorGroup:
+class ErrorGroup(SharedErrors):
     """One kind of error of the poses: c components of a process with d ones of its own.
 
     Attributes
@@ -109,34 +133,44 @@ class ErrorGroup:
         return ErrorGroup(self.name, self.t_s, root, np.inf)
 
     @property
-    def decay(self) -> ArrayF:
-        """Correlation (m,) of each moment with the one before; 0 for the first."""
-        with np.errstate(divide="ignore", invalid="ignore"):
-            rest = np.exp(-np.diff(self.t_s) / self.correlation_s)
-        return np.r_[0.0, np.nan_to_num(rest, nan=1.0)]
+    def links(self) -> ArrayF:
+        """Matrices (m, d, d) that lead from the d components of a moment to those of the next."""
+        if self.link is not None:
+            return self.link
+        decay = np.zeros(len(self.t_s))
+        if self.correlation_s > 0:
+            decay[1:] = np.exp(-np.diff(self.t_s) / self.correlation_s)
+        return decay[:, None, None] * np.eye(self.root.shape[2])
 
     def variances(self, rows: sp.csr_matrix) -> ArrayF:
         """Variance (k,) of products with these derivatives (k, c m)."""
-        sparse = rows.indptr, rows.indices, rows.data
-        if self.link is None:
-            return np.asarray(_variances(*sparse, self.t_s, self.root, self.correlation_s))
-        return np.asarray(_chain_variances(*sparse, self.root, *_spans_of_links(self.link)))
+        spans, begins = _spans_of_links(self.links)
+        return np.asarray(_variances(rows.indptr, rows.indices, rows.data, self.root, spans, begins))
 
-    def times_covariance(self, columns: ArrayF) -> ArrayF:
-        """Covariance matrix of all moments' errors (c m, c m) times columns (c m, q), without the matrix."""
-        m, c, _ = self.root.shape
-        u = np.einsum("kji,kjq->kiq", self.root, columns.reshape(m, c, -1))
-        if self.link is None:
-            summed = _sums_of_neighbours(np.ascontiguousarray(u.reshape(m, -1)), self.decay).reshape(u.shape)
-        else:
-            summed = _through_chain(np.ascontiguousarray(u), np.ascontiguousarray(self.link))
-        return np.einsum("kij,kjq->kiq", self.root, summed).reshape(c * m, -1)
+    def correlated(self, u: ArrayF) -> ArrayF:
+        """Correlation matrix of the components of all moments, times (m, d, q)."""
+        return np.asarray(_times_correlation(np.ascontiguousarray(u), np.ascontiguousarray(self.links)))
 
-    def draw(self, rng: np.random.Generator) -> ArrayF:
-        """Errors (c m,) of all moments, drawn."""
-        normal = rng.standard_normal((len(self.t_s), self.root.shape[2]))
-        process = _gauss_markov(normal, self.decay) if self.link is None else _chain_draw(normal, self.link)
-        return np.einsum("kij,kj->ki", self.root, process).ravel()
+    def unit_draw(self, rng: np.random.Generator) -> ArrayF:
+        """The components (m, d) of all moments, drawn."""
+        return _drawn(rng.standard_normal((len(self.t_s), self.root.shape[2])), self.links)
+
+    def facts(self) -> dict[str, Any]:
+        """Its correlation time, in seconds and in words, and its unit."""
+        lasts = "everywhere" if self.name == COMMON else "all the time"
+        if self.link is not None:
+            lasts = "from node to node as the trajectory says"
+        elif not np.isinf(self.correlation_s):
+            lasts = f"{self.correlation_s:g} s"
+        return {
+            "correlation_s": self.correlation_s if np.isfinite(self.correlation_s) else None,
+            "lasts": lasts,
+            "unit": "m, rad" if self.link is not None else "rad" if self.name in TURNS else "m",
+        }
+
+    def stored(self) -> Mapping[str, AnyArray]:
+        """Arrays from which, with its facts, it is made again."""
+        return {"root": self.root} | ({} if self.link is None else {"link": self.link, "nodes": self.t_s})
 
 
 @dataclass(frozen=True, slots=True)
@@ -266,42 +300,6 @@ def rows_of_weights(weights: Weights, values: ArrayF, n_moments: int) -> sp.csr_
     )
 
 
-@njit(cache=True, parallel=True)
-def _variances(
-    start: AnyArray, index: AnyArray, value: AnyArray, t: AnyArray, root: AnyArray, correlation: float
-) -> AnyArray:
-    """Variance of each sparse row, whose entries stand in the order of the moments and components."""
-    out = np.zeros(len(start) - 1)
-    c, d = root.shape[1], root.shape[2]
-    for row in prange(len(out)):
-        before, moment = 0.0, -1
-        s = np.zeros(d)
-        u = np.zeros(d)
-        total = 0.0
-        for e in range(start[row], start[row + 1] + 1):
-            now = index[e] // c if e < start[row + 1] else -2
-            if now != moment:
-                if moment >= 0:
-                    for axis in range(d):
-                        total += u[axis] * (u[axis] + 2.0 * s[axis])
-                        s[axis] += u[axis]
-                    before = t[moment]
-                if now < 0:
-                    break
-                if moment >= 0:
-                    keep = math.exp(-(t[now] - before) / correlation) if correlation > 0.0 else 0.0
-                    for axis in range(d):
-                        s[axis] *= keep
-                for axis in range(d):
-                    u[axis] = 0.0
-                moment = now
-            component = index[e] - c * now
-            for axis in range(d):
-                u[axis] += root[now, component, axis] * value[e]
-        out[row] = total
-    return out
-
-
 def _spans_of_links(link: ArrayF) -> tuple[ArrayF, ArrayI]:
     """Links over 1, 2, 4, ... steps, one after the other, and where each length begins.
 
@@ -317,7 +315,7 @@ def _spans_of_links(link: ArrayF) -> tuple[ArrayF, ArrayI]:
 
 
 @njit(cache=True, parallel=True)
-def _chain_variances(
+def _variances(
     start: AnyArray, index: AnyArray, value: AnyArray, root: AnyArray, spans: AnyArray, begins: AnyArray
 ) -> AnyArray:
     """Variance of each sparse row over a Markov chain, whose entries stand in the order of the moments."""
@@ -362,7 +360,7 @@ def _chain_variances(
 
 
 @njit(cache=True)
-def _through_chain(u: AnyArray, link: AnyArray) -> AnyArray:
+def _times_correlation(u: AnyArray, link: AnyArray) -> AnyArray:
     """Correlation matrix of a Markov chain times (m, d, q), by one pass forward and one back."""
     out = u.copy()
     m, d, q = u.shape
@@ -383,7 +381,7 @@ def _through_chain(u: AnyArray, link: AnyArray) -> AnyArray:
     return out
 
 
-def _chain_draw(normal: ArrayF, link: ArrayF) -> ArrayF:
+def _drawn(normal: ArrayF, link: ArrayF) -> ArrayF:
     """A Markov chain of unit variance with these links, from white numbers (m, d)."""
     value, vector = np.linalg.eigh(np.eye(link.shape[1]) - link @ np.swapaxes(link, 1, 2))
     noise = np.einsum("kij,kj->ki", vector, np.sqrt(np.maximum(value, 0.0)) * normal)
@@ -391,27 +389,4 @@ def _chain_draw(normal: ArrayF, link: ArrayF) -> ArrayF:
     out[0] = normal[0]
     for k in range(1, len(normal)):
         out[k] = link[k] @ out[k - 1] + noise[k]
-    return out
-
-
-@njit(cache=True)
-def _gauss_markov(normal: AnyArray, decay: AnyArray) -> AnyArray:
-    """A process of unit variance with these correlations of neighbours, from white numbers (m, c)."""
-    out = np.empty_like(normal)
-    out[0] = normal[0]
-    for k in range(1, len(normal)):
-        out[k] = decay[k] * out[k - 1] + np.sqrt(max(0.0, 1.0 - decay[k] ** 2)) * normal[k]
-    return out
-
-
-@njit(cache=True)
-def _sums_of_neighbours(u: AnyArray, decay: AnyArray) -> AnyArray:
-    """Correlation matrix of a Gauss-Markov process times (m, c), by one pass forward and one back."""
-    out = u.copy()
-    for k in range(1, len(u)):
-        out[k] += decay[k] * out[k - 1]
-    back = np.zeros(u.shape[1])
-    for k in range(len(u) - 2, -1, -1):
-        back = decay[k + 1] * (back + u[k + 1])
-        out[k] += back
     return out

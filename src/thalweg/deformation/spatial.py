@@ -12,13 +12,16 @@ hides is a correlation of 0.94 that counts as 1, and in the variance of a sum ov
 thousandth. Points above each other have the same place.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 from scipy.fft import irfft2, next_fast_len, rfft2
 
 from thalweg.core import AnyArray, ArrayF, ArrayI, GeometryError, njit, prange
+from thalweg.deformation.field import SharedErrors
 
 CELLS_IN_LENGTH = 8.0
 """Cells of the grid in a correlation length."""
@@ -44,7 +47,7 @@ def torus_spectrum(shape: tuple[int, ...], cell_m: ArrayF, correlation_m: float)
 
 
 @dataclass(frozen=True, slots=True)
-class SpatialErrors:
+class SpatialErrors(SharedErrors):
     """Errors of places: three components, alike over one length.
 
     Attributes
@@ -90,25 +93,32 @@ class SpatialErrors:
                 u = np.zeros(len(self.cell))
                 part = slice(scaled.indptr[k], scaled.indptr[k + 1])
                 u[scaled.indices[part]] = scaled.data[part]
-                total[k] += float(u @ self._correlated(u[:, None])[:, 0])
+                total[k] += float(u @ self.correlated(u))
         return total
 
-    def times_covariance(self, columns: ArrayF) -> ArrayF:
-        """Covariance matrix of all errors (3 m, 3 m) times columns (3 m, q), without the matrix."""
-        m = len(self.cell)
-        u = np.einsum("kji,kjq->kiq", self.root, columns.reshape(m, 3, -1))
-        summed = self._correlated(u.reshape(m, -1)).reshape(u.shape)
-        return np.einsum("kij,kjq->kiq", self.root, summed).reshape(3 * m, -1)
-
-    def draw(self, rng: np.random.Generator) -> ArrayF:
-        """Errors (3 m,) drawn by embedding the covariance in that of a torus (Dietrich and Newsam 1997)."""
+    def unit_draw(self, rng: np.random.Generator) -> ArrayF:
+        """Components (m, 3), drawn by the covariance of a torus around theirs (Dietrich and Newsam 1997)."""
         spectrum, shape = self._spectrum()
         root = np.sqrt(np.maximum(spectrum.real, 0.0))
         process = np.empty((len(self.cell), 3))
         for axis in range(3):
             field = irfft2(root * rfft2(rng.standard_normal(shape)), shape)
             process[:, axis] = field[self.cell[:, 1], self.cell[:, 0]]
-        return np.einsum("kij,kj->ki", self.root, process).ravel()
+        return process
+
+    def facts(self) -> dict[str, Any]:
+        """Its length and its grid."""
+        return {
+            "correlation_s": None,
+            "lasts": f"{self.correlation_m:g} m",
+            "correlation_m": self.correlation_m,
+            "cell_m": self.cell_m,
+            "unit": "m",
+        }
+
+    def stored(self) -> Mapping[str, AnyArray]:
+        """Arrays from which, with its facts, it is made again."""
+        return {"root": self.root, "cell": self.cell}
 
     def _scaled(self, rows: sp.csr_matrix) -> list[sp.csr_matrix]:
         """For each component of unit variance its derivatives (k, m)."""
@@ -129,14 +139,14 @@ class SpatialErrors:
         cell_m = np.full(2, self.cell_m)
         return torus_spectrum(shape, cell_m, self.correlation_m), (shape[0], shape[1])
 
-    def _correlated(self, u: ArrayF) -> ArrayF:
-        """Correlation matrix times columns (m, q)."""
+    def correlated(self, u: ArrayF) -> ArrayF:
+        """Correlation matrix of the places, times (m, ...)."""
         spectrum, shape = self._spectrum()
         out = np.empty_like(u)
-        for q in range(u.shape[1]):
+        for q in np.ndindex(u.shape[1:]):
             grid = np.zeros(shape)
-            grid[self.cell[:, 1], self.cell[:, 0]] = u[:, q]
-            out[:, q] = irfft2(spectrum * rfft2(grid), shape)[self.cell[:, 1], self.cell[:, 0]]
+            grid[self.cell[:, 1], self.cell[:, 0]] = u[:, *q]
+            out[:, *q] = irfft2(spectrum * rfft2(grid), shape)[self.cell[:, 1], self.cell[:, 0]]
         return out
 
 

@@ -4,11 +4,10 @@ Of their errors is known what somebody states: a standard deviation that neighbo
 far (`SpatialErrors`). They have no trajectory: nothing is known of what they could have seen.
 """
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, Self
+from typing import Any, Final
 
 import numpy as np
 from pyproj import CRS
@@ -101,66 +100,13 @@ class ForeignEpoch(Epoch):
 
     def report(self) -> dict[str, Any]:
         """Facts about the epoch and its errors, for people and for `read`."""
-        return {
-            "name": self.name,
-            "kind": KIND,
-            "start_gps_s": self.start_gps_s,
-            "points": len(self.xyz_m),
-            "moments": len(self.t_s),
-            **self.statement,
-            "groups": [
-                {
-                    "name": group.name,
-                    "correlation_s": None,
-                    "lasts": f"{group.correlation_m:g} m"
-                    if isinstance(group, SpatialErrors)
-                    else "everywhere",
-                    "correlation_m": group.correlation_m if isinstance(group, SpatialErrors) else None,
-                    "cell_m": group.cell_m if isinstance(group, SpatialErrors) else None,
-                    "sigma": np.sqrt(np.mean(np.sum(group.root**2, axis=2), axis=0)).tolist(),
-                    "unit": "m",
-                }
-                for group in self.groups
-            ],
-        }
+        return {"kind": KIND, **Epoch.report(self), **self.statement}
 
-    def write(self, points: Path, errors: Path) -> None:
-        """Write ``points.npz``, and ``errors.json`` beside it, what `read` reads."""
-        arrays = {
-            name: getattr(self, name)
-            for name in (
-                "xyz_m", "moment", "white_m2", "several_returns",
-                "t_s", "boat_m", "scanner_m", "levers", "water_m",
-            )
-        }  # fmt: skip
-        for i, group in enumerate(self.groups):
-            arrays[f"root_{i}"] = group.root
-            if isinstance(group, SpatialErrors):
-                arrays[f"cell_{i}"] = group.cell
-        np.savez(points, allow_pickle=False, **arrays)
-        errors.write_text(json.dumps(self.report(), indent=2) + "\n")
-
-    @classmethod
-    def read(cls, folder: Path) -> Self:
-        """Read what `write` wrote."""
-        facts = read_json(folder / "errors.json")
-        with np.load(folder / "points.npz") as stored:
-            arrays = dict(stored)
-        groups: list[SpatialErrors | ErrorGroup] = []
-        for i, each in enumerate(facts["groups"]):
-            root, cell = arrays.pop(f"root_{i}"), arrays.pop(f"cell_{i}", None)
-            groups.append(
-                ErrorGroup(each["name"], arrays["t_s"], root, np.inf)
-                if cell is None
-                else SpatialErrors(each["name"], cell, each["cell_m"], root, each["correlation_m"])
-            )
-        return cls(
-            name=facts["name"],
-            start_gps_s=facts["start_gps_s"],
-            groups=tuple(groups),
-            statement={key: facts[key] for key in ("heights", "notes", "sigma_known", "is_raster", "whole")},
-            **arrays,
-        )
+    @staticmethod
+    def stated(facts: Mapping[str, Any]) -> dict[str, Any]:
+        """What was stated of its files."""
+        names = ("heights", "notes", "sigma_known", "is_raster", "whole")
+        return {"statement": {key: facts[key] for key in names}}
 
 
 def read_epoch(folder: Path) -> Epoch:
