@@ -52,16 +52,15 @@ from thalweg_lab.yard import (
 )
 
 KIND: Final = "thalweg twin field"
-_F = pa.float64()
 FIELD_POSES: Final = table_kind(
     "twin_field_poses",
     1,
     [
-        column("name", pa.string(), "1", "position_1, position_2 ..."),
-        column("begin_t_gps_s", _F, "s", "begin of the lidar recording, adjusted standard GPS time"),
-        column("end_t_gps_s", _F, "s", "end of the lidar recording"),
-        *(column(f"{a}_m", _F, "m", f"{a} of the ics origin, wcs") for a in ("east", "north", "up")),
-        *(column(f"q_{a}", _F, "1", f"quaternion of R_wcs_ics, {a}, scalar last") for a in "xyzw"),
+        column("name", "1", "position_1, position_2 ...", pa.string()),
+        column("begin_t_gps_s", "s", "begin of the lidar recording, adjusted standard GPS time"),
+        column("end_t_gps_s", "s", "end of the lidar recording"),
+        *(column(f"{a}_m", "m", f"{a} of the ics origin, wcs") for a in ("east", "north", "up")),
+        *(column(f"q_{a}", "1", f"quaternion of R_wcs_ics, {a}, scalar last") for a in "xyzw"),
     ],
 )
 

@@ -14,9 +14,9 @@ KIND = table_kind(
     "demo",
     2,
     [
-        column("t_gps_s", pa.float64(), "s", "time"),
-        column("n", pa.int32(), "1", "count"),
-        column("fix", pa.string(), "1", "fix"),
+        column("t_gps_s", "s", "time"),
+        column("n", "1", "count", pa.int32()),
+        column("fix", "1", "fix", pa.string()),
     ],
 )
 

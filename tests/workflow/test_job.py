@@ -11,7 +11,6 @@ from types import SimpleNamespace
 from typing import Any
 
 import pandas as pd
-import pyarrow as pa
 import pytest
 from snakemake.iocontainers import InputFiles, Log, OutputFiles, Params
 
@@ -75,7 +74,7 @@ def test_files_become_what_a_keyword_asks_for(tmp_path):
 
     (tmp_path / "a.csv").write_text("point,x\n007,1.5\n")
     (tmp_path / "a.json").write_text('{"n": 3}')
-    kind = table_kind("numbers", 1, [column("x", pa.float64(), "m", "a number")])
+    kind = table_kind("numbers", 1, [column("x", "m", "a number")])
     write_table(tmp_path / "a.parquet", pd.DataFrame({"x": [1.0]}), kind, {"most": 2})
     files = {"table": "a.csv", "facts": "a.json", "beside": "a.parquet"}
     given = {name: str(tmp_path / file) for name, file in files.items()} | {"truth": [], "more": ["b", "c"]}

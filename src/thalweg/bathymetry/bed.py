@@ -32,21 +32,19 @@ from thalweg.core import (
 from thalweg.settings.sections import Bathymetry, EchoSounder
 from thalweg.surface import Area
 
-_F = pa.float64()
-
 OBSERVATIONS = table_kind(
     "bed_observations",
     2,
     [
-        column("source", pa.string(), "1", "sounding, table, bank or light sheet"),
-        column("s_m", _F, "m", "along the centre line"),
-        column("n_m", _F, "m", "across it, positive to the left of the flow"),
-        *(column(f"{a}_m", _F, "m", f"{a} in wcs") for a in ("east", "north", "up")),
-        column("sigma_white_m", _F, "m", "noise of the height"),
-        column("sigma_slow_m", _F, "m", "error of the height that lasts"),
-        column("sigma_common_m", _F, "m", "error of the height that all of its source share"),
-        column("t_even_s", _F, "s", "time in which the error that lasts decays evenly; NaN of banks"),
-        column("line", pa.int64(), "1", "line of soundings; negative of others"),
+        column("source", "1", "sounding, table, bank or light sheet", pa.string()),
+        column("s_m", "m", "along the centre line"),
+        column("n_m", "m", "across it, positive to the left of the flow"),
+        *(column(f"{a}_m", "m", f"{a} in wcs") for a in ("east", "north", "up")),
+        column("sigma_white_m", "m", "noise of the height"),
+        column("sigma_slow_m", "m", "error of the height that lasts"),
+        column("sigma_common_m", "m", "error of the height that all of its source share"),
+        column("t_even_s", "s", "time in which the error that lasts decays evenly; NaN of banks"),
+        column("line", "1", "line of soundings; negative of others", pa.int64()),
     ],
 )
 """Heights that the bed is made of."""

@@ -54,7 +54,6 @@ from thalweg.core.calibration import read_calibration
 from thalweg.navigation.ins_gnss import PoseCorrelation
 from thalweg.settings.sections import Bathymetry, EchoSounder
 
-_F = pa.float64()
 _ENU: Final = ("east", "north", "up")
 _COV: Final = ("ee", "en", "eu", "nn", "nu", "uu")
 _UPPER: Final = np.triu_indices(3)
@@ -63,30 +62,27 @@ SOUNDINGS = table_kind(
     "soundings",
     2,
     [
-        column("t_gps_s", _F, "s", "time of the ping, lag and latency removed, adjusted standard GPS time"),
+        column("t_gps_s", "s", "time of the ping, lag and latency removed, adjusted standard GPS time"),
         *(
-            column(f"{a}_m", _F, "m", f"{a} in wcs of the place where the beam's axis meets the bed")
+            column(f"{a}_m", "m", f"{a} in wcs of the place where the beam's axis meets the bed")
             for a in ("east", "north", "up")
         ),
-        column("depth_m", _F, "m", "depth of the bed below the water level at the boat"),
-        column("level_m", _F, "m", "up in wcs of the water level at the boat"),
-        column("range_m", _F, "m", "measured range, corrected for the speed of sound"),
-        *(
-            column(f"transducer_{a}_m", _F, "m", f"{a} of the transducer in wcs")
-            for a in ("east", "north", "up")
-        ),
-        column("sigma_white_m", _F, "m", "standard deviation of the height, part that is new in each ping"),
-        column("sigma_slow_m", _F, "m", "the same, part that lasts as poses do"),
-        column("sigma_common_m", _F, "m", "the same, part that all soundings share"),
-        column("sigma_horizontal_m", _F, "m", "standard deviation of a horizontal coordinate, all parts"),
-        *(column(f"cov_{name}_m2", _F, "m2", "covariance of the place, all parts") for name in _COV),
-        column("footprint_m", _F, "m", "width of the beam on the bed"),
-        column("slope", _F, "1", "tangent of the bed's slope that was taken into account; 0: level"),
-        column("t_even_s", _F, "s", "time in which the slow error decays evenly"),
-        column("line", pa.int64(), "1", "line of soundings, from 0; -1: on none"),
-        column("used", pa.bool_(), "1", "whether the sounding counts"),
-        column("reason", pa.string(), "1", "why not; empty if it counts"),
-        column("row", pa.int64(), "1", "number of the ping in the log, from 0"),
+        column("depth_m", "m", "depth of the bed below the water level at the boat"),
+        column("level_m", "m", "up in wcs of the water level at the boat"),
+        column("range_m", "m", "measured range, corrected for the speed of sound"),
+        *(column(f"transducer_{a}_m", "m", f"{a} of the transducer in wcs") for a in ("east", "north", "up")),
+        column("sigma_white_m", "m", "standard deviation of the height, part that is new in each ping"),
+        column("sigma_slow_m", "m", "the same, part that lasts as poses do"),
+        column("sigma_common_m", "m", "the same, part that all soundings share"),
+        column("sigma_horizontal_m", "m", "standard deviation of a horizontal coordinate, all parts"),
+        *(column(f"cov_{name}_m2", "m2", "covariance of the place, all parts") for name in _COV),
+        column("footprint_m", "m", "width of the beam on the bed"),
+        column("slope", "1", "tangent of the bed's slope that was taken into account; 0: level"),
+        column("t_even_s", "s", "time in which the slow error decays evenly"),
+        column("line", "1", "line of soundings, from 0; -1: on none", pa.int64()),
+        column("used", "1", "whether the sounding counts", pa.bool_()),
+        column("reason", "1", "why not; empty if it counts", pa.string()),
+        column("row", "1", "number of the ping in the log, from 0", pa.int64()),
     ],
 )
 """Soundings in the world, one row a ping; places are NaN where there is no pose."""

@@ -54,24 +54,24 @@ CAMERA_POSE: Final = table_kind(
     "camera_pose",
     1,
     [
-        column("image", pa.string(), "1", "name of the picture's file"),
-        column("file", pa.string(), "1", "path of the picture from the folder of the recordings"),
-        column("camera", pa.string(), "1", "name of the camera"),
-        column("t_device_s", pa.float64(), "s", "stamp of the camera's own clock; NaN if not read yet"),
-        column("x_m", pa.float64(), "m", "projection centre in pcs"),
-        column("y_m", pa.float64(), "m", "projection centre in pcs"),
-        column("z_m", pa.float64(), "m", "projection centre in pcs"),
-        column("qx", pa.float64(), "1", "quaternion of R_pcs_ccs, scalar last"),
-        column("qy", pa.float64(), "1", "quaternion of R_pcs_ccs"),
-        column("qz", pa.float64(), "1", "quaternion of R_pcs_ccs"),
-        column("qw", pa.float64(), "1", "quaternion of R_pcs_ccs, its scalar"),
+        column("image", "1", "name of the picture's file", pa.string()),
+        column("file", "1", "path of the picture from the folder of the recordings", pa.string()),
+        column("camera", "1", "name of the camera", pa.string()),
+        column("t_device_s", "s", "stamp of the camera's own clock; NaN if not read yet"),
+        column("x_m", "m", "projection centre in pcs"),
+        column("y_m", "m", "projection centre in pcs"),
+        column("z_m", "m", "projection centre in pcs"),
+        column("qx", "1", "quaternion of R_pcs_ccs, scalar last"),
+        column("qy", "1", "quaternion of R_pcs_ccs"),
+        column("qz", "1", "quaternion of R_pcs_ccs"),
+        column("qw", "1", "quaternion of R_pcs_ccs, its scalar"),
         *(
-            column(name, pa.float64(), "m, rad", "covariance of (shift; small rotation vector), both in pcs")
+            column(name, "m, rad", "covariance of (shift; small rotation vector), both in pcs")
             for name in COV_COLUMNS
         ),
-        column("marks", pa.int64(), "1", "marks that took part"),
-        column("marks_rejected", pa.int64(), "1", "known marks that did not fit"),
-        column("sigma0", pa.float64(), "1", "root of the squared standardised residuals over the redundancy"),
+        column("marks", "1", "marks that took part", pa.int64()),
+        column("marks_rejected", "1", "known marks that did not fit", pa.int64()),
+        column("sigma0", "1", "root of the squared standardised residuals over the redundancy"),
     ],
 )
 

@@ -37,23 +37,20 @@ from thalweg.core import (
     table_kind,
 )
 
-_F = pa.float64()
 IMAGE_TIMES = table_kind(
     "image_times",
     1,
     [
-        column("file", pa.string(), "1", "name of the image"),
-        column("t_device_s", _F, "s", "stamp, adjusted GPS time if the camera's clock were right"),
-        column("t_gps_s", _F, "s", "adjusted GPS time by the model of the clock"),
-        column("sigma_s", _F, "s", "its standard deviation, jitter of the image included"),
-        column("used", pa.bool_(), "1", "whether the image took part"),
-        column("reason", pa.string(), "1", "why not"),
-        column(
-            "t_best_s", _F, "s", "adjusted GPS time with the image's own jitter estimated; NaN if not used"
-        ),
-        column("sigma_best_s", _F, "s", "its standard deviation"),
-        *(column(f"residual_{a}_m", _F, "m", f"antenna minus its place, {a} of ccs") for a in "xyz"),
-        column("test", _F, "1", "statistic of the image's own error, chi-squared with 3 or 6"),
+        column("file", "1", "name of the image", pa.string()),
+        column("t_device_s", "s", "stamp, adjusted GPS time if the camera's clock were right"),
+        column("t_gps_s", "s", "adjusted GPS time by the model of the clock"),
+        column("sigma_s", "s", "its standard deviation, jitter of the image included"),
+        column("used", "1", "whether the image took part", pa.bool_()),
+        column("reason", "1", "why not", pa.string()),
+        column("t_best_s", "s", "adjusted GPS time with the image's own jitter estimated; NaN if not used"),
+        column("sigma_best_s", "s", "its standard deviation"),
+        *(column(f"residual_{a}_m", "m", f"antenna minus its place, {a} of ccs") for a in "xyz"),
+        column("test", "1", "statistic of the image's own error, chi-squared with 3 or 6"),
     ],
 )
 VARIANTS: Final = ("p2", "positions", "positions and attitude")
@@ -66,28 +63,26 @@ IMAGE_FIXES = table_kind(
     "image_fixes",
     1,
     [
-        column("file", pa.string(), "1", "name of the image"),
-        column("t_gps_s", _F, "s", "adjusted GPS time by the model of the clock"),
-        column("east_m", _F, "m", "antenna by the pose of the image, wcs"),
-        column("north_m", _F, "m", "antenna by the pose of the image, wcs"),
-        column("up_m", _F, "m", "antenna by the pose of the image, wcs"),
-        column("speed_mps", _F, "m/s", "horizontal speed of the track"),
-        column(
-            "residual_along_m", _F, "m", "track minus image along the horizontal motion; NaN if it stands"
-        ),
-        column("residual_across_m", _F, "m", "track minus image to the left of the motion; NaN if it stands"),
-        column("residual_up_m", _F, "m", "track minus image, upward"),
-        column("used", pa.bool_(), "1", "whether the image took part"),
+        column("file", "1", "name of the image", pa.string()),
+        column("t_gps_s", "s", "adjusted GPS time by the model of the clock"),
+        column("east_m", "m", "antenna by the pose of the image, wcs"),
+        column("north_m", "m", "antenna by the pose of the image, wcs"),
+        column("up_m", "m", "antenna by the pose of the image, wcs"),
+        column("speed_mps", "m/s", "horizontal speed of the track"),
+        column("residual_along_m", "m", "track minus image along the horizontal motion; NaN if it stands"),
+        column("residual_across_m", "m", "track minus image to the left of the motion; NaN if it stands"),
+        column("residual_up_m", "m", "track minus image, upward"),
+        column("used", "1", "whether the image took part", pa.bool_()),
     ],
 )
 ANTENNA_TRACK = table_kind(
     "antenna_track",
     1,
     [
-        column("t_gps_s", _F, "s", "adjusted GPS time"),
-        column("east_m", _F, "m", "antenna, wcs"),
-        column("north_m", _F, "m", "antenna, wcs"),
-        column("up_m", _F, "m", "antenna, wcs"),
+        column("t_gps_s", "s", "adjusted GPS time"),
+        column("east_m", "m", "antenna, wcs"),
+        column("north_m", "m", "antenna, wcs"),
+        column("up_m", "m", "antenna, wcs"),
     ],
 )
 

@@ -38,17 +38,16 @@ from thalweg.core import (
 )
 from thalweg.ingest import explain_shift, read_text_table
 
-_F = pa.float64()
 RUN_IMAGE_TIMES = table_kind(
     "run_image_times",
     1,
     [
-        column("file", pa.string(), "1", "name of the image"),
-        column("t_device_s", _F, "s", "stamp, adjusted GPS time if the camera's clock were right"),
-        column("t_gps_s", _F, "s", "adjusted GPS time of the middle of the exposure; NaN if unknown"),
-        column("sigma_s", _F, "s", "its standard deviation, jitter of the image included"),
-        column("matched", pa.bool_(), "1", "whether the time is that of a pulse of the trigger"),
-        column("reason", pa.string(), "1", "why not"),
+        column("file", "1", "name of the image", pa.string()),
+        column("t_device_s", "s", "stamp, adjusted GPS time if the camera's clock were right"),
+        column("t_gps_s", "s", "adjusted GPS time of the middle of the exposure; NaN if unknown"),
+        column("sigma_s", "s", "its standard deviation, jitter of the image included"),
+        column("matched", "1", "whether the time is that of a pulse of the trigger", pa.bool_()),
+        column("reason", "1", "why not", pa.string()),
     ],
 )
 _NAMED: Final = 5

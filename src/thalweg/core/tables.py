@@ -21,8 +21,11 @@ from thalweg.core.errors import InputError
 # ---------------------------------------------------------------- Parquet
 
 
-def column(name: str, dtype: pa.DataType, unit: str, doc: str) -> "pa.Field[Any]":
-    """A column of a table kind: name (with its unit suffix), type, unit ("1" if none) and meaning."""
+_NUMBER = pa.float64()
+
+
+def column(name: str, unit: str, doc: str, dtype: pa.DataType = _NUMBER) -> "pa.Field[Any]":
+    """A column of a table kind: name (with its unit suffix), unit ("1" if none), meaning and type."""
     return pa.field(name, dtype, metadata={"unit": unit, "doc": doc})
 
 

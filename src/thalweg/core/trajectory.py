@@ -28,8 +28,6 @@ from thalweg.core.frames import LocalFrame, attitude_axes
 from thalweg.core.tables import column, read_table, table_kind, write_table
 from thalweg.core.types import ArrayB, ArrayF, ArrayI
 
-_F = pa.float64()
-
 _PARTS: Final = ("east", "north", "up", "rotation_east", "rotation_north", "rotation_up")
 _UPPER: Final = np.triu_indices(6, 1)
 _SIGMAS: Final = tuple(f"sigma_{part}_{'rad' if 'rotation' in part else 'm'}" for part in _PARTS)
@@ -39,12 +37,12 @@ TRAJECTORY = table_kind(
     "trajectory",
     2,
     [
-        column("t_gps_s", _F, "s", "adjusted standard GPS time, strictly increasing"),
-        *(column(f"{a}_m", _F, "m", f"{a} of the ics origin in wcs") for a in ("east", "north", "up")),
-        *(column(f"q{a}", _F, "1", f"quaternion of R_wcs_ics, {a} (scalar last)") for a in "xyzw"),
-        *(column(name, _F, name.rpartition("_")[2], "standard deviation") for name in _SIGMAS),
-        *(column(name, _F, "1", "correlation of two errors of the pose") for name in _CORRELATIONS),
-        column("valid", pa.bool_(), "1", "false inside a gap: no point gets a pose from such a node"),
+        column("t_gps_s", "s", "adjusted standard GPS time, strictly increasing"),
+        *(column(f"{a}_m", "m", f"{a} of the ics origin in wcs") for a in ("east", "north", "up")),
+        *(column(f"q{a}", "1", f"quaternion of R_wcs_ics, {a} (scalar last)") for a in "xyzw"),
+        *(column(name, name.rpartition("_")[2], "standard deviation") for name in _SIGMAS),
+        *(column(name, "1", "correlation of two errors of the pose") for name in _CORRELATIONS),
+        column("valid", "1", "false inside a gap: no point gets a pose from such a node", pa.bool_()),
     ],
 )
 

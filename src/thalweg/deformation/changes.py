@@ -36,9 +36,9 @@ DRAWS = table_kind(
     "error_draws",
     1,
     [
-        column("core", pa.int64(), "1", "number of the core point"),
+        column("core", "1", "number of the core point", pa.int64()),
         *(
-            column(f"draw_{i:02d}_m", pa.float64(), "m", "error of the registered distance in this draw")
+            column(f"draw_{i:02d}_m", "m", "error of the registered distance in this draw")
             for i in range(N_DRAWS)
         ),
     ],

@@ -24,24 +24,22 @@ CHANGES = table_kind(
     "changes",
     1,
     [
-        column("core", pa.int64(), "1", "number of the core point"),
-        *(column(f"{axis}_m", pa.float64(), "m", f"core point, {axis}") for axis in ("east", "north", "up")),
-        *(column(f"normal_{axis}", pa.float64(), "1", f"normal, {axis}") for axis in ("east", "north", "up")),
-        column("scale_m", pa.float64(), "m", "radius at which the normal was fitted"),
-        column("n_before", pa.int64(), "1", "points of the first epoch in the cylinder"),
-        column("n_after", pa.int64(), "1", "points of the second epoch in the cylinder"),
-        column("distance_m", pa.float64(), "m", "second minus first epoch along the normal"),
-        column("sigma_m", pa.float64(), "m", "standard deviation of the distance"),
-        column("sigma_field_m", pa.float64(), "m", "its part from errors that points share"),
-        column("sigma_white_m", pa.float64(), "m", "its part from roughness and noise of single points"),
-        column("sigma_registration_m", pa.float64(), "m", "its part from the registration of the epochs"),
-        column("lod95_m", pa.float64(), "m", "level of detection: 1.96 standard deviations"),
-        column("p_value", pa.float64(), "1", "probability of such a distance without change"),
-        column(
-            "q_value", pa.float64(), "1", "rate of false discoveries at which it counts (Benjamini-Hochberg)"
-        ),
-        column("significant", pa.bool_(), "1", "counts at the chosen level"),
-        column("state", pa.string(), "1", "what is known of the place"),
+        column("core", "1", "number of the core point", pa.int64()),
+        *(column(f"{axis}_m", "m", f"core point, {axis}") for axis in ("east", "north", "up")),
+        *(column(f"normal_{axis}", "1", f"normal, {axis}") for axis in ("east", "north", "up")),
+        column("scale_m", "m", "radius at which the normal was fitted"),
+        column("n_before", "1", "points of the first epoch in the cylinder", pa.int64()),
+        column("n_after", "1", "points of the second epoch in the cylinder", pa.int64()),
+        column("distance_m", "m", "second minus first epoch along the normal"),
+        column("sigma_m", "m", "standard deviation of the distance"),
+        column("sigma_field_m", "m", "its part from errors that points share"),
+        column("sigma_white_m", "m", "its part from roughness and noise of single points"),
+        column("sigma_registration_m", "m", "its part from the registration of the epochs"),
+        column("lod95_m", "m", "level of detection: 1.96 standard deviations"),
+        column("p_value", "1", "probability of such a distance without change"),
+        column("q_value", "1", "rate of false discoveries at which it counts (Benjamini-Hochberg)"),
+        column("significant", "1", "counts at the chosen level", pa.bool_()),
+        column("state", "1", "what is known of the place", pa.string()),
     ],
 )
 """One row for each core point."""
@@ -50,13 +48,13 @@ CLOUD_TO_CLOUD = table_kind(
     "cloud_to_cloud",
     1,
     [
-        *(column(f"{axis}_m", pa.float64(), "m", f"point, {axis}") for axis in ("east", "north", "up")),
-        column("distance_m", pa.float64(), "m", "to the nearest point of the first epoch; never negative"),
+        *(column(f"{axis}_m", "m", f"point, {axis}") for axis in ("east", "north", "up")),
+        column("distance_m", "m", "to the nearest point of the first epoch; never negative"),
         column(
-            "plane_distance_m", pa.float64(), "m",
+            "plane_distance_m", "m",
             "to the plane of the nearest points of the first epoch; positive towards the given side",
         ),
-        column("spacing_m", pa.float64(), "m", "of the first epoch's points there"),
+        column("spacing_m", "m", "of the first epoch's points there"),
     ],
 )  # fmt: skip
 """One row for each point of the second epoch."""

@@ -11,21 +11,20 @@ from thalweg.deformation.m3c2 import ColumnIndex, multiscale_normals
 from thalweg.settings.sections import Deformation
 from thalweg.surface import Area
 
-_F = pa.float64()
 CORE_POINTS = table_kind(
     "core_points",
     1,
     [
-        column("core", pa.int64(), "1", "number of the core point"),
-        column("surface", pa.int64(), "1", "number of the epoch on whose surface it lies"),
-        *(column(f"{axis}_m", _F, "m", f"core point, {axis} in wcs") for axis in ("east", "north", "up")),
+        column("core", "1", "number of the core point", pa.int64()),
+        column("surface", "1", "number of the epoch on whose surface it lies", pa.int64()),
+        *(column(f"{axis}_m", "m", f"core point, {axis} in wcs") for axis in ("east", "north", "up")),
         *(
-            column(f"normal_{axis}", _F, "1", f"normal towards the boat, {axis}")
+            column(f"normal_{axis}", "1", f"normal towards the boat, {axis}")
             for axis in ("east", "north", "up")
         ),
-        column("scale_m", _F, "m", "radius at which the normal was fitted: the most planar"),
-        column("area_m2", _F, "m2", "area of the surface that the core point stands for"),
-        column("s_m", _F, "m", "along the bank, to the right when looking from the river"),
+        column("scale_m", "m", "radius at which the normal was fitted: the most planar"),
+        column("area_m2", "m2", "area of the surface that the core point stands for"),
+        column("s_m", "m", "along the bank, to the right when looking from the river"),
     ],
 )
 """One row a core point."""

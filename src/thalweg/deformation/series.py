@@ -41,16 +41,16 @@ SERIES = table_kind(
     "series",
     1,
     [
-        column("place", pa.int64(), "1", "number of the core point or cell"),
-        column("n_epochs", pa.int64(), "1", "epochs in which it was seen"),
-        column("trend_m_a", pa.float64(), "m/a", "linear trend, no step"),
-        column("sigma_trend_m_a", pa.float64(), "m/a", "standard deviation of the trend"),
-        column("sigma_trend_common_m_a", pa.float64(), "m/a", "its part that all places share"),
-        column("chi2_trend", pa.float64(), "1", "sum of squared normalised residuals of the trend"),
-        column("step_after_epoch", pa.int64(), "1", "step between this epoch and the next, from 0; -1: none"),
-        column("step_m", pa.float64(), "m", "largest step in its standard deviation, beside a trend"),
-        column("sigma_step_m", pa.float64(), "m", "standard deviation of the step at this place in time"),
-        column("p_step", pa.float64(), "1", "probability of such a step at any time without one (bound)"),
+        column("place", "1", "number of the core point or cell", pa.int64()),
+        column("n_epochs", "1", "epochs in which it was seen", pa.int64()),
+        column("trend_m_a", "m/a", "linear trend, no step"),
+        column("sigma_trend_m_a", "m/a", "standard deviation of the trend"),
+        column("sigma_trend_common_m_a", "m/a", "its part that all places share"),
+        column("chi2_trend", "1", "sum of squared normalised residuals of the trend"),
+        column("step_after_epoch", "1", "step between this epoch and the next, from 0; -1: none", pa.int64()),
+        column("step_m", "m", "largest step in its standard deviation, beside a trend"),
+        column("sigma_step_m", "m", "standard deviation of the step at this place in time"),
+        column("p_step", "1", "probability of such a step at any time without one (bound)"),
     ],
 )
 """One row for each place."""
@@ -58,11 +58,11 @@ HEIGHTS = table_kind(
     "heights",
     1,
     [
-        column("place", pa.int64(), "1", "number of the core point or cell"),
-        column("epoch", pa.int64(), "1", "number of the epoch, from 1"),
-        column("t_a", pa.float64(), "a", "time since the first epoch, Julian years"),
-        column("distance_m", pa.float64(), "m", "registered distance from the first epoch"),
-        column("sigma_m", pa.float64(), "m", "standard deviation of this epoch's own mean"),
+        column("place", "1", "number of the core point or cell", pa.int64()),
+        column("epoch", "1", "number of the epoch, from 1", pa.int64()),
+        column("t_a", "a", "time since the first epoch, Julian years"),
+        column("distance_m", "m", "registered distance from the first epoch"),
+        column("sigma_m", "m", "standard deviation of this epoch's own mean"),
     ],
 )
 """One row for each place and epoch that saw it."""

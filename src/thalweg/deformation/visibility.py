@@ -21,20 +21,20 @@ VISIBILITY = table_kind(
     "visibility",
     1,
     [
-        column("core", pa.int64(), "1", "number of the core point"),
+        column("core", "1", "number of the core point", pa.int64()),
         *(
             item
             for i, which in ((1, "first"), (2, "second"))
             for item in (
-                column(f"seen_{i}", pa.bool_(), "1", f"the {which} epoch has points there"),
+                column(f"seen_{i}", "1", f"the {which} epoch has points there", pa.bool_()),
                 column(
                     f"reason_{i}",
-                    pa.string(),
                     "1",
                     f"why the {which} epoch has none: {', '.join(REASONS[1:])}",
+                    pa.string(),
                 ),
                 column(
-                    f"beams_through_{i}", pa.int64(), "1", f"beams of the {which} epoch that passed through"
+                    f"beams_through_{i}", "1", f"beams of the {which} epoch that passed through", pa.int64()
                 ),
             )
         ),

@@ -75,11 +75,11 @@ REMOVED_POINTS: Final = table_kind(
     "removed_points",
     1,
     [
-        column("reason", pa.string(), "1", "name of thalweg.lidar.filters.Reason in small letters"),
-        column("t_gps_s", pa.float64(), "s", "adjusted standard GPS time of the shot; NaN without"),
-        *(column(f"{a}_m", pa.float64(), "m", f"{a} in wcs; NaN without a pose") for a in _WCS),
-        *(column(f"{a}_ics_m", pa.float32(), "m", f"{a} in the body frame") for a in "xyz"),
-        column("range_m", pa.float32(), "m", "measured range"),
+        column("reason", "1", "name of thalweg.lidar.filters.Reason in small letters", pa.string()),
+        column("t_gps_s", "s", "adjusted standard GPS time of the shot; NaN without"),
+        *(column(f"{a}_m", "m", f"{a} in wcs; NaN without a pose") for a in _WCS),
+        *(column(f"{a}_ics_m", "m", f"{a} in the body frame", pa.float32()) for a in "xyz"),
+        column("range_m", "m", "measured range", pa.float32()),
     ],
 )
 """An even sample of the points that were left out, so many at most for each reason."""

@@ -146,39 +146,38 @@ def reading_that_fits(views: Views, rig: Rig) -> str:
 
 # ---------------------------------------------------------------- files
 
-_F = pa.float64()
 _AXES: Final = ("east", "north", "up")
 PANORAMAS: Final = table_kind(
     "panoramas",
     1,
     [
-        column("panorama", pa.string(), "1", "name of the file"),
-        column("image", pa.string(), "1", "name of the file of the rig"),
-        column("t_gps_s", _F, "s", "time of exposure, adjusted standard GPS time"),
-        column("sigma_t_s", _F, "s", "its standard deviation"),
-        column("mode", pa.string(), "1", "where things are taken to be: depth, sphere, none"),
-        column("width_px", pa.int32(), "px", "width; the height is half of it"),
-        *(column(f"{a}_m", _F, "m", f"{a} of the middle of the rig, wcs") for a in _AXES),
-        *(column(f"sigma_{a}_m", _F, "m", f"standard deviation of {a}") for a in _AXES),
-        *(column(f"q{a}", _F, "1", f"quaternion of R_wcs_pcs, {a} (scalar last)") for a in "xyzw"),
+        column("panorama", "1", "name of the file", pa.string()),
+        column("image", "1", "name of the file of the rig", pa.string()),
+        column("t_gps_s", "s", "time of exposure, adjusted standard GPS time"),
+        column("sigma_t_s", "s", "its standard deviation"),
+        column("mode", "1", "where things are taken to be: depth, sphere, none", pa.string()),
+        column("width_px", "px", "width; the height is half of it", pa.int32()),
+        *(column(f"{a}_m", "m", f"{a} of the middle of the rig, wcs") for a in _AXES),
+        *(column(f"sigma_{a}_m", "m", f"standard deviation of {a}") for a in _AXES),
+        *(column(f"q{a}", "1", f"quaternion of R_wcs_pcs, {a} (scalar last)") for a in "xyzw"),
         *(
-            column(f"sigma_rotation_{a}_deg", _F, "deg", f"standard deviation of the rotation about {a}")
+            column(f"sigma_rotation_{a}_deg", "deg", f"standard deviation of the rotation about {a}")
             for a in _AXES
         ),
-        column("heading_deg", _F, "deg", "of the middle of the picture, from grid north clockwise"),
-        column("lat_deg", _F, "deg", "latitude of the middle of the rig"),
-        column("lon_deg", _F, "deg", "longitude of the middle of the rig"),
-        column("h_ell_m", _F, "m", "its ellipsoidal height"),
+        column("heading_deg", "deg", "of the middle of the picture, from grid north clockwise"),
+        column("lat_deg", "deg", "latitude of the middle of the rig"),
+        column("lon_deg", "deg", "longitude of the middle of the rig"),
+        column("h_ell_m", "m", "its ellipsoidal height"),
         *(
-            column(f"gain_{c}", _F, "1", f"light of the back lens over that of the front lens, {c}")
+            column(f"gain_{c}", "1", f"light of the back lens over that of the front lens, {c}")
             for c in ("red", "green", "blue")
         ),
-        column("gain_sigma", _F, "1", "relative standard deviation of a gain"),
-        column("seam_rms_px", _F, "px", "rms of the shifts of both lenses across the seam; NaN: no texture"),
-        column("seam_places", pa.int32(), "1", "places of the seam with texture"),
-        column("agreement", _F, "1", "correlation of both lenses where they overlap"),
-        column("shown", _F, "1", "share of the pixels that a lens shows"),
-        column("ranged", _F, "1", "share of the cells whose range is from the cloud, before gaps are filled"),
+        column("gain_sigma", "1", "relative standard deviation of a gain"),
+        column("seam_rms_px", "px", "rms of the shifts of both lenses across the seam; NaN: no texture"),
+        column("seam_places", "1", "places of the seam with texture", pa.int32()),
+        column("agreement", "1", "correlation of both lenses where they overlap"),
+        column("shown", "1", "share of the pixels that a lens shows"),
+        column("ranged", "1", "share of the cells whose range is from the cloud, before gaps are filled"),
     ],
 )
 _GPANO: Final = """<?xpacket begin="\ufeff" id="W5M0MpCehiHzreSzNTczkc9d"?>

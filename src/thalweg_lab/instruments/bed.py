@@ -62,20 +62,18 @@ _CARELESS_M: Final = 0.05
 # ---------------------------------------------------------------- echo sounder
 
 
-_F = pa.float64()
-
 TRUE_SOUNDINGS: Final = table_kind(
     "twin_soundings",
     1,
     [
-        column("t_gps_s", _F, "s", "when the ping truly went out, adjusted standard GPS time"),
-        column("stamp_gps_s", _F, "s", "time that the log gives it"),
-        *(column(f"{a}_m", _F, "m", f"{a} in wcs where the beam's axis meets the bed") for a in _ENU),
-        column("depth_m", _F, "m", "true distance of that place from the transducer; NaN: none"),
-        column("first_m", _F, "m", "true distance of the nearest firm place in the beam; NaN: none"),
-        column("stated_m", _F, "m", "depth in the log; NaN: no bottom"),
-        column("blunder_m", _F, "m", "how much of it is due to the effects named, after the filters"),
-        column("effect", pa.string(), "1", "what happened to the ping; empty: nothing"),
+        column("t_gps_s", "s", "when the ping truly went out, adjusted standard GPS time"),
+        column("stamp_gps_s", "s", "time that the log gives it"),
+        *(column(f"{a}_m", "m", f"{a} in wcs where the beam's axis meets the bed") for a in _ENU),
+        column("depth_m", "m", "true distance of that place from the transducer; NaN: none"),
+        column("first_m", "m", "true distance of the nearest firm place in the beam; NaN: none"),
+        column("stated_m", "m", "depth in the log; NaN: no bottom"),
+        column("blunder_m", "m", "how much of it is due to the effects named, after the filters"),
+        column("effect", "1", "what happened to the ping; empty: nothing", pa.string()),
     ],
 )
 """Truth of the echo sounder, one row a ping; only rules that compare with the truth read it."""

@@ -333,14 +333,14 @@ DISPLAY_TRUTH = table_kind(
     "display_truth",
     1,
     [
-        column("file", pa.string(), "1", "name of the photograph"),
-        column("t_gps_s", pa.float64(), "s", "middle of the exposure, adjusted standard GPS time"),
-        column("interval_s", pa.float64(), "s", "time since the photograph before; NaN for the first"),
-        column("shown", pa.string(), "1", "number on the display for most of the exposure, GPS time of day"),
-        column("shown_share", pa.float64(), "1", "share of the exposure in which it stood there"),
-        column("spoiled", pa.string(), "1", "what is wrong with the photograph; empty: nothing"),
-        column("contrast", pa.float64(), "1", "contrast of the faintest digit under the reflex, 0 to 1"),
-        column("readable", pa.bool_(), "1", "nothing is wrong and all digits stand out"),
+        column("file", "1", "name of the photograph", pa.string()),
+        column("t_gps_s", "s", "middle of the exposure, adjusted standard GPS time"),
+        column("interval_s", "s", "time since the photograph before; NaN for the first"),
+        column("shown", "1", "number on the display for most of the exposure, GPS time of day", pa.string()),
+        column("shown_share", "1", "share of the exposure in which it stood there"),
+        column("spoiled", "1", "what is wrong with the photograph; empty: nothing", pa.string()),
+        column("contrast", "1", "contrast of the faintest digit under the reflex, 0 to 1"),
+        column("readable", "1", "nothing is wrong and all digits stand out", pa.bool_()),
     ],
 )
 

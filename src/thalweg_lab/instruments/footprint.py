@@ -43,18 +43,17 @@ WEAKEST: Final = 0.1
 CERTAIN: Final = 4.0
 """Signals that lie this many widths below the limit of detection are never seen."""
 
-_F = pa.float64()
 MANY_SHOTS: Final = 2.5e6
 """Shots whose truth is kept on average, of recordings with more than that."""
 LIDAR_SHOTS: Final = table_kind(
     "twin_lidar_shots",
     2,
     [
-        column("t_gps_s", _F, "s", "adjusted standard GPS time of the shot; shots are 2.304 us apart"),
-        *(column(f"{a}_m", _F, "m", f"{a} of the surface point, wcs") for a in ("east", "north", "up")),
-        column("material", pa.uint8(), "1", "material, numbers of the scene file; 255 is the own boat"),
-        column("return_number", pa.uint8(), "1", "1 is the nearest return of the shot"),
-        column("kind", pa.uint8(), "1", "0 surface, 1 mixed of several, 2 mirror ghost, 3 own boat"),
+        column("t_gps_s", "s", "adjusted standard GPS time of the shot; shots are 2.304 us apart"),
+        *(column(f"{a}_m", "m", f"{a} of the surface point, wcs") for a in ("east", "north", "up")),
+        column("material", "1", "material, numbers of the scene file; 255 is the own boat", pa.uint8()),
+        column("return_number", "1", "1 is the nearest return of the shot", pa.uint8()),
+        column("kind", "1", "0 surface, 1 mixed of several, 2 mirror ghost, 3 own boat", pa.uint8()),
     ],
 )
 

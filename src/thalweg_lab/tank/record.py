@@ -57,20 +57,19 @@ PANEL_MM: Final = 0.02
 PNG_LEVEL: Final = 1
 """Noise does not compress: higher levels cost time only."""
 
-_F = pa.float64()
 
 LINE_TRUTH: Final = table_kind(
     "twin_sheet_lines",
     1,
     [
-        column("file", pa.string(), "1", "name of the image"),
-        column("line", pa.int32(), "1", "number of the light sheet, from 0"),
-        column("fan_angle_rad", _F, "rad", "fan angle of the sub-beam"),
-        *(column(f"{a}_mm", _F, "mm", f"{a} of the lit point, lcs") for a in "xyz"),
-        column("x_px", _F, "px", "its image, from the upper left corner to the right"),
-        column("y_px", _F, "px", "its image, downwards"),
-        column("visible", pa.bool_(), "1", "the camera sees the point, and it lies in the picture"),
-        column("albedo", _F, "1", "albedo in green"),
+        column("file", "1", "name of the image", pa.string()),
+        column("line", "1", "number of the light sheet, from 0", pa.int32()),
+        column("fan_angle_rad", "rad", "fan angle of the sub-beam"),
+        *(column(f"{a}_mm", "mm", f"{a} of the lit point, lcs") for a in "xyz"),
+        column("x_px", "px", "its image, from the upper left corner to the right"),
+        column("y_px", "px", "its image, downwards"),
+        column("visible", "1", "the camera sees the point, and it lies in the picture", pa.bool_()),
+        column("albedo", "1", "albedo in green"),
     ],
 )
 
@@ -78,11 +77,11 @@ POSE_TRUTH: Final = table_kind(
     "twin_sheet_poses",
     1,
     [
-        column("file", pa.string(), "1", "name of the image"),
-        column("surface", pa.string(), "1", "what was seen"),
-        column("t_gps_s", _F, "s", "true middle of the exposure, adjusted standard GPS time"),
-        *(column(f"{a}_mm", _F, "mm", f"{a} of the origin of lcs in the frame of the object") for a in "xyz"),
-        *(column(f"q_{a}", _F, "1", f"quaternion of R_obj_lcs, {a}, scalar last") for a in "xyzw"),
+        column("file", "1", "name of the image", pa.string()),
+        column("surface", "1", "what was seen", pa.string()),
+        column("t_gps_s", "s", "true middle of the exposure, adjusted standard GPS time"),
+        *(column(f"{a}_mm", "mm", f"{a} of the origin of lcs in the frame of the object") for a in "xyz"),
+        *(column(f"q_{a}", "1", f"quaternion of R_obj_lcs, {a}, scalar last") for a in "xyzw"),
     ],
 )
 

@@ -407,14 +407,11 @@ POINTS: Final = table_kind(
     "true_change_points",
     1,
     [
-        *(
-            column(f"{axis}_m", pa.float64(), "m", f"place on the first ground, {axis} in wcs")
-            for axis in _AXES
-        ),
-        *(column(f"normal_{axis}", pa.float64(), "1", f"normal of the ground, {axis}") for axis in _AXES),
-        column("distance_m", pa.float64(), "m", "true change along the normal, mean over the cylinder"),
-        column("kind", pa.string(), "1", "class of the change"),
-        column("polygon", pa.string(), "1", "change that the place belongs to; empty: none"),
+        *(column(f"{axis}_m", "m", f"place on the first ground, {axis} in wcs") for axis in _AXES),
+        *(column(f"normal_{axis}", "1", f"normal of the ground, {axis}") for axis in _AXES),
+        column("distance_m", "m", "true change along the normal, mean over the cylinder"),
+        column("kind", "1", "class of the change", pa.string()),
+        column("polygon", "1", "change that the place belongs to; empty: none", pa.string()),
     ],
 )
 """One row a place on the ground of the first epoch."""

@@ -56,18 +56,17 @@ FULL_FRAME_MM: Final = 36.0
 """Widths of the sensors."""
 _TOUR_BEFORE_S: Final = 3600.0
 _TOUR_STEP_S: Final = 11.0
-_F = pa.float64()
 IMAGE_TIMES: Final = table_kind(
     "twin_image_times",
     1,
     [
-        column("file", pa.string(), "1", "name of the image"),
-        column("t_true_gps_s", _F, "s", "true middle of the exposure, adjusted standard GPS time"),
-        column("stamp_us", pa.int64(), "us", "what the camera's clock wrote, microseconds since 1970"),
-        column("stamp_error_s", _F, "s", "stamp minus true time in UTC minus what the clock is ahead of UTC"),
-        column("clock_minus_utc_s", _F, "s", "what the camera's clock is ahead of UTC"),
-        *(column(f"{a}_m", _F, "m", f"{a} of the projection centre, wcs") for a in ("east", "north", "up")),
-        *(column(f"q_{a}", _F, "1", f"quaternion of R_wcs_ccs, {a}, scalar last") for a in "xyzw"),
+        column("file", "1", "name of the image", pa.string()),
+        column("t_true_gps_s", "s", "true middle of the exposure, adjusted standard GPS time"),
+        column("stamp_us", "us", "what the camera's clock wrote, microseconds since 1970", pa.int64()),
+        column("stamp_error_s", "s", "stamp minus true time in UTC minus what the clock is ahead of UTC"),
+        column("clock_minus_utc_s", "s", "what the camera's clock is ahead of UTC"),
+        *(column(f"{a}_m", "m", f"{a} of the projection centre, wcs") for a in ("east", "north", "up")),
+        *(column(f"q_{a}", "1", f"quaternion of R_wcs_ccs, {a}, scalar last") for a in "xyzw"),
     ],
 )
 

@@ -55,14 +55,14 @@ DISTANCES: Final = table_kind(
     "cloud_to_surface",
     1,
     [
-        column("east_m", pa.float64(), "m", "point, first coordinate of its frame"),
-        column("north_m", pa.float64(), "m", "point, second coordinate"),
-        column("up_m", pa.float64(), "m", "point, height"),
-        column("distance_m", pa.float64(), "m", "signed distance, positive in front of the reference"),
-        column("sigma_reference_m", pa.float64(), "m", "of the reference: its noise and its registration"),
-        column("at_border", pa.bool_(), "1", "the nearest place lies on the border of the mesh"),
-        column("used", pa.bool_(), "1", "compared: near enough, and not beside the border"),
-        column("outlier", pa.bool_(), "1", "used, and outside the outlier rule"),
+        column("east_m", "m", "point, first coordinate of its frame"),
+        column("north_m", "m", "point, second coordinate"),
+        column("up_m", "m", "point, height"),
+        column("distance_m", "m", "signed distance, positive in front of the reference"),
+        column("sigma_reference_m", "m", "of the reference: its noise and its registration"),
+        column("at_border", "1", "the nearest place lies on the border of the mesh", pa.bool_()),
+        column("used", "1", "compared: near enough, and not beside the border", pa.bool_()),
+        column("outlier", "1", "used, and outside the outlier rule", pa.bool_()),
     ],
 )
 _MOST_COUNTED: Final = 100_000.0

@@ -54,13 +54,13 @@ VOLUMES = table_kind(
     "surface_volumes",
     1,
     [
-        column("part", pa.string(), "1", "which cells"),
-        column("n_cells", pa.int64(), "1", "number of cells"),
-        column("area_m2", pa.float64(), "m2", "their area"),
-        column("volume_m3", pa.float64(), "m3", "second minus first surface, summed over the cells"),
-        column("sigma_m3", pa.float64(), "m3", "standard deviation of the volume"),
-        column("low_m3", pa.float64(), "m3", "lower end of the interval of 95 %"),
-        column("high_m3", pa.float64(), "m3", "upper end of the interval of 95 %"),
+        column("part", "1", "which cells", pa.string()),
+        column("n_cells", "1", "number of cells", pa.int64()),
+        column("area_m2", "m2", "their area"),
+        column("volume_m3", "m3", "second minus first surface, summed over the cells"),
+        column("sigma_m3", "m3", "standard deviation of the volume"),
+        column("low_m3", "m3", "lower end of the interval of 95 %"),
+        column("high_m3", "m3", "upper end of the interval of 95 %"),
     ],
 )
 """One row for each set of cells; cells that were not seen have an area and no volume."""

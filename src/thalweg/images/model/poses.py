@@ -26,7 +26,6 @@ from thalweg.core import (
     write_table,
 )
 
-_F = pa.float64()
 _PARTS: Final = ("east", "north", "up", "rotation_east", "rotation_north", "rotation_up")
 _UNITS: Final = ("m", "m", "m", "rad", "rad", "rad")
 _LOWER: Final = [(i, j) for i in range(6) for j in range(i + 1)]
@@ -35,29 +34,28 @@ IMAGE_POSES = table_kind(
     "image_poses",
     1,
     [
-        column("image", pa.string(), "1", "name of the file"),
-        column("t_gps_s", _F, "s", "adjusted standard GPS time of the exposure; NaN if not known"),
-        column("sigma_t_s", _F, "s", "its standard deviation"),
-        column("oriented", pa.bool_(), "1", "whether the image has a pose"),
-        column("reason", pa.string(), "1", "why it has none"),
-        *(column(f"{a}_m", _F, "m", f"{a} of the projection centre in wcs") for a in ("east", "north", "up")),
-        *(column(f"q{a}", _F, "1", f"quaternion of R_wcs_ccs, {a} (scalar last)") for a in "xyzw"),
+        column("image", "1", "name of the file", pa.string()),
+        column("t_gps_s", "s", "adjusted standard GPS time of the exposure; NaN if not known"),
+        column("sigma_t_s", "s", "its standard deviation"),
+        column("oriented", "1", "whether the image has a pose", pa.bool_()),
+        column("reason", "1", "why it has none", pa.string()),
+        *(column(f"{a}_m", "m", f"{a} of the projection centre in wcs") for a in ("east", "north", "up")),
+        *(column(f"q{a}", "1", f"quaternion of R_wcs_ccs, {a} (scalar last)") for a in "xyzw"),
         *(
-            column(f"cov_{_PARTS[i]}_{_PARTS[j]}", _F, f"{_UNITS[i]} {_UNITS[j]}", "covariance of two errors")
+            column(f"cov_{_PARTS[i]}_{_PARTS[j]}", f"{_UNITS[i]} {_UNITS[j]}", "covariance of two errors")
             for i, j in _LOWER
         ),
         *(
             column(
                 f"next_{_PARTS[i]}_{_PARTS[j]}",
-                _F,
                 f"{_UNITS[i]} {_UNITS[j]}",
                 "covariance of this image's first with the next oriented image's second error",
             )
             for i in range(6)
             for j in range(6)
         ),
-        column("n_marks", pa.int64(), "1", "tie points and control points measured in the image"),
-        column("rms_px", _F, "px", "root mean square of their residuals; NaN if not known"),
+        column("n_marks", "1", "tie points and control points measured in the image", pa.int64()),
+        column("rms_px", "px", "root mean square of their residuals; NaN if not known"),
     ],
 )
 

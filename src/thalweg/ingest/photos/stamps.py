@@ -243,21 +243,20 @@ __all__ = ["IMAGE_STAMPS", "ImageStamps", "Source", "list_images", "natural_key"
 
 Source = Literal["auto", "name", "exif", "table"]
 
-_F = pa.float64()
 
 IMAGE_STAMPS = table_kind(
     "image_stamps",
     1,
     [
-        column("file", pa.string(), "1", "name of the image; of a survey below its common folder"),
-        column("t_device_s", _F, "s", "adjusted GPS time if the camera's clock were right; NaN if without"),
-        column("source", pa.string(), "1", "what the time is from: name, exif, table, none"),
-        column("resolution_s", _F, "s", "unit of the stamp"),
-        column("width", pa.int32(), "px", "columns of the image; -1 if unreadable"),
-        column("height", pa.int32(), "px", "rows of the image; -1 if unreadable"),
-        column("make", pa.string(), "1", "maker of the camera"),
-        column("model", pa.string(), "1", "model of the camera"),
-        column("focal_mm", _F, "mm", "focal length as EXIF states it; NaN if unknown"),
+        column("file", "1", "name of the image; of a survey below its common folder", pa.string()),
+        column("t_device_s", "s", "adjusted GPS time if the camera's clock were right; NaN if without"),
+        column("source", "1", "what the time is from: name, exif, table, none", pa.string()),
+        column("resolution_s", "s", "unit of the stamp"),
+        column("width", "px", "columns of the image; -1 if unreadable", pa.int32()),
+        column("height", "px", "rows of the image; -1 if unreadable", pa.int32()),
+        column("make", "1", "maker of the camera", pa.string()),
+        column("model", "1", "model of the camera", pa.string()),
+        column("focal_mm", "mm", "focal length as EXIF states it; NaN if unknown"),
     ],
 )
 

@@ -39,7 +39,7 @@ cv2 = optional("cv2")
 log = logging.getLogger("thalweg")
 
 SERIES_POINTS: Final = table_kind(
-    "sheet_line_points", 1, [column("file", pa.string(), "1", "name of the image"), *LINE_POINTS]
+    "sheet_line_points", 1, [column("file", "1", "name of the image", pa.string()), *LINE_POINTS]
 )
 """Line points of all images of a series."""
 
@@ -47,19 +47,19 @@ SHEET_POINTS: Final = table_kind(
     "sheet_points",
     1,
     [
-        column("file", pa.string(), "1", "name of the image"),
-        column("line", pa.int32(), "1", "number of the laser line, -1 if unknown"),
-        *(column(f"{a}_mm", pa.float64(), "mm", f"{a} in the sensor's frame lcs") for a in "xyz"),
-        column("depth_mm", pa.float64(), "mm", "depth below the outer face of the window"),
-        column("fan_angle_rad", pa.float64(), "rad", "fan angle of the sub-beam"),
-        column("x_px", pa.float64(), "px", "column of the image point"),
-        column("y_px", pa.float64(), "px", "row of the image point"),
+        column("file", "1", "name of the image", pa.string()),
+        column("line", "1", "number of the laser line, -1 if unknown", pa.int32()),
+        *(column(f"{a}_mm", "mm", f"{a} in the sensor's frame lcs") for a in "xyz"),
+        column("depth_mm", "mm", "depth below the outer face of the window"),
+        column("fan_angle_rad", "rad", "fan angle of the sub-beam"),
+        column("x_px", "px", "column of the image point"),
+        column("y_px", "px", "row of the image point"),
         *(
-            column(f"cov_{a}{b}_mm2", pa.float64(), "mm^2", f"covariance of {a} and {b} by the image point")
+            column(f"cov_{a}{b}_mm2", "mm^2", f"covariance of {a} and {b} by the image point")
             for a, b in ("xx", "xy", "xz", "yy", "yz", "zz")
         ),
-        column("sigma_depth_mm", pa.float64(), "mm", "of the depth, by image point and sensor"),
-        column("flags", pa.uint8(), "1", "as in the line points"),
+        column("sigma_depth_mm", "mm", "of the depth, by image point and sensor"),
+        column("flags", "1", "as in the line points", pa.uint8()),
     ],
 )
 """Points on the light sheet; the covariances hold the image point's share, which is independent from point to

@@ -402,22 +402,21 @@ _LEAST_ON_LEVEL: Final = 10
 _MANY_BESIDE: Final = 0.3
 
 PAIR_COLUMNS: Final = tuple(f"{where}_{a}_m" for where in ("scan", "mesh") for a in "xyz")
-_F = pa.float64()
 
 SCAN_DISTANCES: Final = table_kind(
     "scan_distances",
     1,
     [
-        column("file", pa.string(), "1", "name of the image"),
-        *(column(f"{a}_m", _F, "m", f"{a} in the frame of the reference") for a in "xyz"),
-        column("distance_mm", _F, "mm", "signed distance from the reference, positive in front of it"),
-        column("sigma_mm", _F, "mm", "its predicted standard deviation"),
-        column("sigma_own_mm", _F, "mm", "share of the image measurement"),
-        column("sigma_pose_mm", _F, "mm", "share of the pose of the image"),
-        column("peak_dn", _F, "1", "height of the line above its background"),
-        column("flags", pa.uint8(), "1", "as in the line points"),
-        column("used", pa.bool_(), "1", "the point has a counterpart and its line a good pose"),
-        column("reason", pa.string(), "1", "why it is not used: far, at_border, bad_pose"),
+        column("file", "1", "name of the image", pa.string()),
+        *(column(f"{a}_m", "m", f"{a} in the frame of the reference") for a in "xyz"),
+        column("distance_mm", "mm", "signed distance from the reference, positive in front of it"),
+        column("sigma_mm", "mm", "its predicted standard deviation"),
+        column("sigma_own_mm", "mm", "share of the image measurement"),
+        column("sigma_pose_mm", "mm", "share of the pose of the image"),
+        column("peak_dn", "1", "height of the line above its background"),
+        column("flags", "1", "as in the line points", pa.uint8()),
+        column("used", "1", "the point has a counterpart and its line a good pose", pa.bool_()),
+        column("reason", "1", "why it is not used: far, at_border, bad_pose", pa.string()),
     ],
 )
 """Points of a scan with their distances."""

@@ -46,25 +46,21 @@ from thalweg.lightsheet.poses import M_PER_MM, SensorPoses, by_pose, factor
 
 NO_LINE: Final = "no line was measured in this image"
 
-_F = pa.float64()
 _COVS: Final = ("xx", "xy", "xz", "yy", "yz", "zz")
 
 SCAN_POINTS: Final = table_kind(
     "scan_points",
     1,
     [
-        column("file", pa.string(), "1", "name of the image"),
-        column("t_gps_s", _F, "s", "adjusted standard GPS time of the image, NaN if unknown"),
-        *(column(f"{a}_m", _F, "m", f"{a} in the frame of the poses") for a in "xyz"),
-        *(
-            column(f"cov_{ab}_m2", _F, "m^2", f"covariance of {ab[0]} and {ab[1]}, all errors")
-            for ab in _COVS
-        ),
-        column("line", pa.int32(), "1", "number of the laser line, -1 if unknown"),
-        column("x_px", _F, "px", "column of the line's point in the image"),
-        column("y_px", _F, "px", "row of the line's point in the image"),
-        column("peak_dn", _F, "1", "height of the line above its background"),
-        column("flags", pa.uint8(), "1", "as in the line points"),
+        column("file", "1", "name of the image", pa.string()),
+        column("t_gps_s", "s", "adjusted standard GPS time of the image, NaN if unknown"),
+        *(column(f"{a}_m", "m", f"{a} in the frame of the poses") for a in "xyz"),
+        *(column(f"cov_{ab}_m2", "m^2", f"covariance of {ab[0]} and {ab[1]}, all errors") for ab in _COVS),
+        column("line", "1", "number of the laser line, -1 if unknown", pa.int32()),
+        column("x_px", "px", "column of the line's point in the image"),
+        column("y_px", "px", "row of the line's point in the image"),
+        column("peak_dn", "1", "height of the line above its background"),
+        column("flags", "1", "as in the line points", pa.uint8()),
     ],
 )
 """Points of a scan. The errors of the sensor and of a panel are common to all points, those of a pose to the

@@ -49,26 +49,22 @@ EXTRA_DIMENSIONS: Final[dict[str, ExtraDimension]] = {
 }
 """Extra bytes of a bed cloud."""
 
-_F = pa.float64()
 _COVS: Final = ("ee", "en", "eu", "nn", "nu", "uu")
 
 BED_POINTS: Final = table_kind(
     "bed_points",
     1,
     [
-        column("file", pa.string(), "1", "name of the image"),
-        column("t_gps_s", _F, "s", "adjusted standard GPS time of the image"),
-        *(column(f"{a}_m", _F, "m", f"{a} in wcs") for a in ("east", "north", "up")),
-        *(
-            column(f"cov_{ab}_m2", _F, "m^2", f"covariance of the axes {ab} of wcs, all errors")
-            for ab in _COVS
-        ),
-        column("sigma_line_m", _F, "m", "of the height within its line: by the image measurement alone"),
-        column("line", pa.int32(), "1", "number of the laser line, -1 if unknown"),
-        column("x_px", _F, "px", "column of the line's point in the image"),
-        column("y_px", _F, "px", "row of the line's point in the image"),
-        column("peak_dn", _F, "1", "height of the line above its background"),
-        column("flags", pa.uint8(), "1", "as in the line points"),
+        column("file", "1", "name of the image", pa.string()),
+        column("t_gps_s", "s", "adjusted standard GPS time of the image"),
+        *(column(f"{a}_m", "m", f"{a} in wcs") for a in ("east", "north", "up")),
+        *(column(f"cov_{ab}_m2", "m^2", f"covariance of the axes {ab} of wcs, all errors") for ab in _COVS),
+        column("sigma_line_m", "m", "of the height within its line: by the image measurement alone"),
+        column("line", "1", "number of the laser line, -1 if unknown", pa.int32()),
+        column("x_px", "px", "column of the line's point in the image"),
+        column("y_px", "px", "row of the line's point in the image"),
+        column("peak_dn", "1", "height of the line above its background"),
+        column("flags", "1", "as in the line points", pa.uint8()),
     ],
 )
 """Points of the bed in the world."""
