@@ -24,9 +24,6 @@ if TYPE_CHECKING:
 MAX_BASELINE_KM = 200.0
 """Beyond it the base antenna is a typing mistake, not a base station."""
 
-_A_M, _E2 = 6_378_137.0, 6.694379990141e-3
-"""WGS84 semi-major axis and squared eccentricity."""
-
 _CRS_PATH = ("campaign", "crs")
 
 
@@ -200,14 +197,10 @@ def _inside(area: Any, lat: float, lon: float) -> bool:
 
 
 def _ecef(lat_deg: float, lon_deg: float, h_m: float) -> tuple[float, float, float]:
-    """Earth-centred coordinates in closed form: no import of pyproj for a plausibility check."""
-    lat, lon = math.radians(lat_deg), math.radians(lon_deg)
-    n = _A_M / math.sqrt(1 - _E2 * math.sin(lat) ** 2)
-    return (
-        (n + h_m) * math.cos(lat) * math.cos(lon),
-        (n + h_m) * math.cos(lat) * math.sin(lon),
-        (n * (1 - _E2) + h_m) * math.sin(lat),
-    )
+    from thalweg.core import LocalFrame
+
+    x, y, z = LocalFrame(lat_deg=lat_deg, lon_deg=lon_deg, h_ell_m=h_m).origin_ecef_m.tolist()
+    return x, y, z
 
 
 # ---------------------------------------------------------------- mounts

@@ -3,10 +3,10 @@
 import copy
 import datetime as dt
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from pydantic import TypeAdapter, ValidationError
 
@@ -17,7 +17,9 @@ from thalweg.settings.checks_epochs import check_dates
 from thalweg.settings.checks_place import SETTING
 from thalweg.settings.drawn import with_drawn
 from thalweg.settings.messages import CampaignError, anchor, expand, mistake, mistake_of, nearest, show
-from thalweg.settings.sections import Epoch, Logs, is_calibration_path
+from thalweg.settings.sections import Epoch, Logs, Section, is_calibration_path
+
+SectionT = TypeVar("SectionT", bound=Section)
 
 # ---------------------------------------------------------------- from the data of a campaign file to a
 # `Campaign`, with all mistakes collected first
@@ -64,23 +66,28 @@ def _anchored(campaign: Campaign | None, path: Path) -> Campaign | None:
     """The campaign with the absolute paths of the files that its sections beside the logs name."""
     if campaign is None:
         return None
-    chosen = campaign.mounts.calibration
-    if chosen is not None and is_calibration_path(chosen):
-        mounts = campaign.mounts.model_copy(update={"calibration": str(anchor(chosen, path.parent))})
-        campaign = campaign.model_copy(update={"mounts": mounts})
-    interior = campaign.calibration.boat_camera.interior
-    if interior is not None:
-        update = {"interior": str(anchor(interior, path.parent))}
-        camera = campaign.calibration.boat_camera.model_copy(update=update)
-        section = campaign.calibration.model_copy(update={"boat_camera": camera})
-        campaign = campaign.model_copy(update={"calibration": section})
-    if campaign.epochs is not None:
-        epochs = [_anchored_epoch(epoch, path.parent) for epoch in campaign.epochs]
-        change = campaign.deformation
-        if isinstance(change.stable, str):
-            change = change.model_copy(update={"stable": str(anchor(change.stable, path.parent))})
-        campaign = campaign.model_copy(update={"epochs": epochs, "deformation": change})
-    return campaign
+
+    def absolute(text: object) -> object:
+        return str(anchor(text, path.parent)) if isinstance(text, str) else text
+
+    def named(text: object) -> object:
+        return absolute(text) if isinstance(text, str) and is_calibration_path(text) else text
+
+    def each(epochs: list[Epoch]) -> list[Epoch]:
+        return [_anchored_epoch(epoch, path.parent) for epoch in epochs]
+
+    campaign = _changed(campaign, named, "mounts", "calibration")
+    campaign = _changed(campaign, absolute, "calibration", "boat_camera", "interior")
+    if campaign.epochs is None:
+        return campaign
+    return _changed(_changed(campaign, each, "epochs"), absolute, "deformation", "stable")
+
+
+def _changed(section: SectionT, change: Callable[[Any], object], key: str, *below: str) -> SectionT:
+    """A section with one of its values, or of those below, changed."""
+    value = getattr(section, key)
+    new = _changed(value, change, *below) if below else change(value)
+    return section if new == value else section.model_copy(update={key: new})
 
 
 def _anchored_epoch(epoch: Epoch, folder: Path) -> Epoch:
@@ -284,14 +291,11 @@ def with_calibrations(campaigns: dict[str, Campaign], folder: Path) -> dict[str,
     mistakes: list[Mistake] = []
     for name, campaign in campaigns.items():
         found, wrong = named_calibration(campaign.mounts.calibration, folder, (name,))
-        needed |= {calibration.id: calibration for calibration in found}
         mistakes += [_placed(m, folder / f"{name}.yaml") for m in wrong]
-        found, wrong = named_epochs(campaign, folder)
-        needed |= {epoch.id: epoch for epoch in found}
-        mistakes += [replace(m, file=m.file or folder / f"{name}.yaml") for m in wrong]
-        basin, wrong = named_basin(campaign.light_sheet.sensor, folder)
-        needed |= {one.id: one for one in basin}
-        mistakes += [replace(m, file=m.file or folder / f"{name}.yaml") for m in wrong]
+        epochs, wrong = named_epochs(campaign, folder)
+        basin, wrong_basin = named_basin(campaign.light_sheet.sensor, folder)
+        needed |= {one.id: one for one in (*found, *epochs, *basin)}
+        mistakes += [replace(m, file=m.file or folder / f"{name}.yaml") for m in (*wrong, *wrong_basin)]
     if mistakes:
         raise CampaignError(list(dict.fromkeys(mistakes)))
     return {**needed, **campaigns}
