@@ -1,5 +1,6 @@
 """Key numbers of a campaign in one table: quantity, value, unit, where it comes from."""
 
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -8,6 +9,8 @@ import pandas as pd
 from thalweg.core import read_json
 
 COLUMNS = ["quantity", "value", "unit", "source"]
+Row = tuple[str, float, str]
+"""Quantity, value, unit."""
 REFERENCE_FIGURES = {
     "n": "reference, without outliers: points compared",
     "bias": "reference, without outliers: mean distance",
@@ -51,136 +54,124 @@ def summary_table(
     -------
     Columns ``quantity, value, unit, source``.
     """
-    rows: list[tuple[str, float, str, str]] = []
+    parts: list[tuple[Path | None, Callable[[Path], Iterator[Row]]]] = [
+        (streams, _stream_rows),
+        (positions, _fix_rows),
+        (trajectory, _trajectory_rows),
+        (counts, _point_rows),
+        (images, _image_rows),
+        (soundings, _sounding_rows),
+        (bed, _bed_rows),
+        (reference, _reference_rows),
+        (truth, _truth_rows),
+    ]
+    rows = [(*row, path.name) for path, rows_of in parts if path is not None for row in rows_of(path)]
+    return pd.DataFrame(rows, columns=COLUMNS).astype({"value": float})
+
+
+def _stream_rows(streams: Path) -> Iterator[Row]:
+    """How long each stream runs, and what was lost of it."""
     for stream in _records(streams):
-        rows.append((f"{stream['stream']}: duration", stream["duration_s"], "s", streams.name))
-        rows.append(
-            (f"{stream['stream']}: records lost or damaged", stream["lost_records"], "1", streams.name)
-        )
-        rows.append((f"{stream['stream']}: bytes lost", stream["lost_bytes"], "1", streams.name))
-    if positions is not None:
-        rows += _fix_rows(positions)
+        name = stream["stream"]
+        yield f"{name}: duration", stream["duration_s"], "s"
+        yield f"{name}: records lost or damaged", stream["lost_records"], "1"
+        yield f"{name}: bytes lost", stream["lost_bytes"], "1"
+
+
+def _trajectory_rows(trajectory: Path) -> Iterator[Row]:
+    """Positions that were used, nodes with a pose, gaps."""
     poses = read_json(trajectory)
     share = poses["n_positions_used"] / poses["n_positions"] if poses["n_positions"] else 0.0
-    rows.append(("positions used", 100 * share, "%", trajectory.name))
-    rows.append(("trajectory nodes with a valid pose", float(poses["n_nodes_valid"]), "1", trajectory.name))
-    without = float(poses["n_states"] - poses["n_nodes_valid"]) if "n_states" in poses else 0.0
-    rows.append(("INS states without a valid pose", max(without, 0.0), "1", trajectory.name))
-    gaps = poses.get("gaps", [])
-    rows.append(("gaps in the trajectory", float(len(gaps)), "1", trajectory.name))
-    rows.append(("gaps in the trajectory, together", sum(length for _, length in gaps), "s", trajectory.name))
-    longest = max((length for _, length in gaps), default=0.0)
-    rows.append(("longest gap in the trajectory", longest, "s", trajectory.name))
-    if counts is not None:
-        points = _records(counts)
-        rows.append(("lidar points decoded", sum(row["n"] for row in points), "1", counts.name))
-        rows += [(f"  {row['words']}", row["n"], "1", counts.name) for row in points if row["n"]]
-    if images is not None:
-        rows += _image_rows(images)
-    if soundings is not None:
-        reasons = read_json(soundings)["by_reason"]
-        rows.append(("georeferenced soundings", float(reasons.pop("")), "1", soundings.name))
-        rows += [(f"  left out: {why}", float(n), "1", soundings.name) for why, n in reasons.items() if n]
-    if bed is not None:
-        rows += _bed_rows(bed)
-    if reference is not None:
-        rows += _reference_rows(reference)
-    if truth is not None:
-        rows += _truth_rows(truth)
-    return pd.DataFrame(rows, columns=COLUMNS)
+    yield "positions used", 100 * share, "%"
+    yield "trajectory nodes with a valid pose", poses["n_nodes_valid"], "1"
+    without = poses.get("n_states", 0) - poses["n_nodes_valid"]
+    yield "INS states without a valid pose", max(without, 0), "1"
+    lengths_s = [length for _, length in poses.get("gaps", [])]
+    yield "gaps in the trajectory", len(lengths_s), "1"
+    yield "gaps in the trajectory, together", sum(lengths_s), "s"
+    yield "longest gap in the trajectory", max(lengths_s, default=0.0), "s"
 
 
-def _fix_rows(positions: Path) -> list[tuple[str, float, str, str]]:
+def _point_rows(counts: Path) -> Iterator[Row]:
+    """What became of the lidar points."""
+    points = _records(counts)
+    yield "lidar points decoded", sum(row["n"] for row in points), "1"
+    yield from ((f"  {row['words']}", row["n"], "1") for row in points if row["n"])
+
+
+def _sounding_rows(soundings: Path) -> Iterator[Row]:
+    """What became of the soundings."""
+    reasons = read_json(soundings)["by_reason"]
+    yield "georeferenced soundings", reasons.pop(""), "1"
+    yield from ((f"  left out: {why}", n, "1") for why, n in reasons.items() if n)
+
+
+def _fix_rows(positions: Path) -> Iterator[Row]:
     """What raw GNSS gave: fixed epochs, those that were not trusted, how far away the base was."""
     facts = read_json(positions)["details"]
-    if "fix_ratio" not in facts:
-        return []
-    refused = float(sum(facts["n_fixes_refused"].values()))
-    return [
-        ("GNSS epochs with fixed ambiguities", 100 * facts["fix_ratio"], "%", positions.name),
-        ("GNSS fixes that were not trusted", refused, "1", positions.name),
-        ("distance of the GNSS base, median", facts["baseline_m"] / 1e3, "km", positions.name),
-        ("distance of the GNSS base, largest", facts["baseline_max_m"] / 1e3, "km", positions.name),
-    ]
+    if "fix_ratio" in facts:
+        yield "GNSS epochs with fixed ambiguities", 100 * facts["fix_ratio"], "%"
+        yield "GNSS fixes that were not trusted", sum(facts["n_fixes_refused"].values()), "1"
+        yield "distance of the GNSS base, median", facts["baseline_m"] / 1e3, "km"
+        yield "distance of the GNSS base, largest", facts["baseline_max_m"] / 1e3, "km"
 
 
-def _image_rows(images: Path) -> list[tuple[str, float, str, str]]:
+def _image_rows(images: Path) -> Iterator[Row]:
     """Poses of the photographs, and their check points as the adjustment foretold them."""
     facts = read_json(images)
-    rows = [
-        ("photographs with a pose", float(facts["images"]), "1", images.name),
-        ("photographs without a pose", float(facts["images_without_pose"]), "1", images.name),
-    ]
-    checks = facts["check_points"]
-    if not checks or not checks["points"]:
-        return [*rows, ("check points", 0.0, "1", images.name)]
-    rows.append(("check points", float(checks["points"]), "1", images.name))
-    for axis in ("east", "north", "up"):
-        rows.append((f"check points: RMSE {axis}", checks["rmse_mm"][axis] / 1e3, "m", images.name))
-        rows.append(
-            (f"check points: RMSE {axis} predicted", checks["predicted_mm"][axis] / 1e3, "m", images.name)
-        )
-    normalised = checks["normalised"]
-    rows.append(("check points: NEES (1: as predicted)", normalised, "1", images.name))
-    return rows
+    yield "photographs with a pose", facts["images"], "1"
+    yield "photographs without a pose", facts["images_without_pose"], "1"
+    checks = facts["check_points"] or {"points": 0}
+    yield "check points", checks["points"], "1"
+    if checks["points"]:
+        for axis in ("east", "north", "up"):
+            yield f"check points: RMSE {axis}", checks["rmse_mm"][axis] / 1e3, "m"
+            yield f"check points: RMSE {axis} predicted", checks["predicted_mm"][axis] / 1e3, "m"
+        yield "check points: NEES (1: as predicted)", checks["normalised"], "1"
 
 
-def _bed_rows(bed: Path) -> list[tuple[str, float, str, str]]:
+def _bed_rows(bed: Path) -> Iterator[Row]:
     """How well the riverbed foretells lines of soundings that it did not see."""
     facts = read_json(bed)
-    return [
-        ("riverbed: left-out lines", float(facts["lines"]), "1", bed.name),
-        ("riverbed: RMSE of left-out lines", facts["rmse_m"], "m", bed.name),
-        ("riverbed: NEES (1: as predicted)", facts["normalised_square"], "1", bed.name),
-        ("riverbed: outside the interval of 95 %", 100 * facts["outside_95"], "%", bed.name),
-    ]
+    yield "riverbed: left-out lines", facts["lines"], "1"
+    yield "riverbed: RMSE of left-out lines", facts["rmse_m"], "m"
+    yield "riverbed: NEES (1: as predicted)", facts["normalised_square"], "1"
+    yield "riverbed: outside the interval of 95 %", 100 * facts["outside_95"], "%"
 
 
-def _reference_rows(reference: Path) -> list[tuple[str, float, str, str]]:
+def _reference_rows(reference: Path) -> Iterator[Row]:
     """As measured, with the outlier rule, and the RMSE without it."""
     table = [row for row in _records(reference) if row["registration"] == "as measured"]
-    inside = {row["quantity"]: row for row in table if row["points"] == "without outliers"}
-    everything = {row["quantity"]: row for row in table if row["points"] == "all"}
-    rows = [
-        (text, inside[key]["value"], inside[key]["unit"], reference.name)
-        for key, text in REFERENCE_FIGURES.items()
-    ]
+    inside, everything = (
+        {row["quantity"]: row for row in table if row["points"] == points}
+        for points in ("without outliers", "all")
+    )
+    for key, text in REFERENCE_FIGURES.items():
+        yield text, inside[key]["value"], inside[key]["unit"]
     for key, text in {"n": "points compared", "bias": "mean distance", "rmse": "RMSE"}.items():
-        rows.append(
-            (
-                f"reference, all points: {text}",
-                everything[key]["value"],
-                everything[key]["unit"],
-                reference.name,
-            )
-        )
-    share = 100 * (1 - inside["n"]["value"] / everything["n"]["value"])
-    rows.append(("reference: outliers", share, "%", reference.name))
-    return rows
+        yield f"reference, all points: {text}", everything[key]["value"], everything[key]["unit"]
+    yield "reference: outliers", 100 * (1 - inside["n"]["value"] / everything["n"]["value"]), "%"
 
 
-def _truth_rows(truth: Path) -> list[tuple[str, float, str, str]]:
+def _truth_rows(truth: Path) -> Iterator[Row]:
     """Of a twin: bare ground against the truth."""
-    wanted = {
+    table = _records(truth)
+    ground = {row["quantity"]: row for row in table if row["points"] == "bare ground"}
+    for key, text in {
         "rmse": "bare ground: RMSE against the truth of the twin",
         "predicted_rmse": "bare ground: RMSE predicted",
         "normalised_squared_error": "bare ground: NEES",
         "consistent_low95": "  if sigmas are consistent: above (95 %)",
         "consistent_high95": "  if sigmas are consistent: below (95 %)",
-    }
-    ground = {row["quantity"]: row for row in _records(truth) if row["points"] == "bare ground"}
-    rows: list[tuple[str, float, str, str]] = [
-        (text, ground[key]["value"], ground[key]["unit"], truth.name) for key, text in wanted.items()
-    ]
-    consistent = ground["consistent_low95"]["value"] <= ground["normalised_squared_error"]["value"]
-    consistent &= ground["normalised_squared_error"]["value"] <= ground["consistent_high95"]["value"]
-    rows.append(("  inside that band (1: yes, 0: no)", float(consistent), "1", truth.name))
-    with_gross = {r["quantity"]: r for r in _records(truth) if r["points"].endswith("gross errors")}
-    rows.append(("bare ground: RMSE with gross errors", with_gross["rmse"]["value"], "m", truth.name))
-    rows.append(("bare ground: gross errors", with_gross["gross_errors"]["value"], "1", truth.name))
-    share = 100 * ground["share_of_points"]["value"]
-    rows.append(("bare ground: share of all points", share, "%", truth.name))
-    return rows
+    }.items():
+        yield text, ground[key]["value"], ground[key]["unit"]
+    names = ("consistent_low95", "normalised_squared_error", "consistent_high95")
+    low, found, high = (ground[name]["value"] for name in names)
+    yield "  inside that band (1: yes, 0: no)", low <= found <= high, "1"
+    gross = {row["quantity"]: row["value"] for row in table if row["points"].endswith("gross errors")}
+    yield "bare ground: RMSE with gross errors", gross["rmse"], "m"
+    yield "bare ground: gross errors", gross["gross_errors"], "1"
+    yield "bare ground: share of all points", 100 * ground["share_of_points"]["value"], "%"
 
 
 def summary_lines(table: pd.DataFrame) -> list[str]:
