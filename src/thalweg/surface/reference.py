@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, Final, Literal
 
 import numpy as np
+import shapely
 from scipy.spatial import cKDTree
 
 from thalweg.core import (
@@ -21,7 +22,6 @@ from thalweg.core import (
     iter_laz,
     laz_header,
     njit,
-    prange,
     robust_sigma,
 )
 from thalweg.core.geometry import TriangleMesh
@@ -462,26 +462,10 @@ def near_area(points_m: ArrayF, area: Area, margin_m: float) -> ArrayB:
     at_height = replace(area, polygon_en_m=None, lowest_m=lowest, highest_m=highest).contains(points_m)
     plan = points_m[:, :2]
     about = np.flatnonzero(~inside & at_height & ((plan >= low) & (plan <= high)).all(axis=1))
-    corners = np.ascontiguousarray(area.polygon_en_m, dtype=np.float64)
-    inside[about] = _near_outline(np.ascontiguousarray(plan[about]), corners, margin_m)
+    outline = shapely.linearrings(area.polygon_en_m)
+    shapely.prepare(outline)
+    inside[about] = shapely.dwithin(outline, shapely.points(plan[about]), margin_m)
     return inside
-
-
-@njit(parallel=True, cache=True, error_model="numpy")
-def _near_outline(plan: ArrayF, corners: ArrayF, reach: float) -> ArrayB:
-    out = np.zeros(len(plan), dtype=np.bool_)
-    k = len(corners)
-    for i in prange(len(plan)):
-        for j in range(k):
-            ax, ay = corners[j, 0], corners[j, 1]
-            bx, by = corners[(j + 1) % k, 0] - ax, corners[(j + 1) % k, 1] - ay
-            px, py = plan[i, 0] - ax, plan[i, 1] - ay
-            length = bx * bx + by * by
-            u = min(1.0, max(0.0, (px * bx + py * by) / length)) if length > 0.0 else 0.0
-            if (px - u * bx) ** 2 + (py - u * by) ** 2 <= reach * reach:
-                out[i] = True
-                break
-    return out
 
 
 @dataclass(slots=True, kw_only=True)

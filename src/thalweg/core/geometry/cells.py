@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Final, Self
 
 import numpy as np
+import shapely
 from numpy.typing import ArrayLike
 
 from thalweg.core import ArrayB, ArrayF, ArrayI, GeometryError
@@ -41,16 +42,10 @@ def first_crossing(polygon: ArrayLike) -> tuple[int, int] | None:
     (0, 2)
     """
     a = _about_middle(polygon)
-    b, k = np.roll(a, -1, axis=0), len(a)
-    for i in range(k - 2):
-        others = slice(i + 2, k - 1 if i == 0 else k)
-        c, d = a[others], b[others]
-        c_side, d_side = _side(a[i], b[i], c), _side(a[i], b[i], d)
-        a_side, b_side = _side(c, d, a[i]), _side(c, d, b[i])
-        crosses = np.flatnonzero((c_side * d_side < 0) & (a_side * b_side < 0))
-        if len(crosses):
-            return i, int(i + 2 + crosses[0])
-    return None
+    edges = shapely.linestrings(np.stack([a, np.roll(a, -1, axis=0)], axis=1))
+    pairs = shapely.STRtree(edges).query(edges, predicate="crosses").T.tolist()
+    one, other = min(((i, j) for i, j in pairs if i < j), default=(-1, -1))
+    return (one, other) if one >= 0 else None
 
 
 def crossing_in_words(polygon: ArrayLike, edges: tuple[int, int]) -> str:
@@ -67,12 +62,6 @@ def _about_middle(polygon: ArrayLike) -> ArrayF:
     """Corners about their middle: at map coordinates products of 1e12 m2 would hide a crossing."""
     p = np.asarray(polygon, dtype=np.float64)
     return np.asarray(p - p.mean(axis=0))
-
-
-def _side(a: ArrayF, b: ArrayF, p: ArrayF) -> ArrayF:
-    """Positive where p lies to the left of the line from a to b."""
-    along, way = b - a, p - a
-    return np.asarray(along[..., 0] * way[..., 1] - along[..., 1] * way[..., 0])
 
 
 # ---------------------------------------------------------------- cells
