@@ -10,7 +10,7 @@ A cloud that was fitted to the reference cannot test its sigmas: the fit has tak
 that they predict. With registration there are observed numbers only.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Final
 
 import numpy as np
@@ -281,7 +281,8 @@ def classes_in_words(classes: pd.DataFrame) -> str:
     outside = classes[~classes["inside"].astype(bool)]
     inside = classes[classes["inside"].astype(bool)]
     wide = int((inside["ratio_high95"] > WIDE_BAND * inside["ratio_low95"]).sum())
-    far = _runs(outside["range_m"].tolist())
+    runs = runs_of(outside["range_m"].tolist())
+    far = ", ".join(f"{first} to {last}" if last > first else f"{first}" for first, last in runs)
     words = f"{len(outside)} of {len(classes)} range classes are outside their band" + (
         f" ({far} m)" if far else ""
     )
@@ -303,15 +304,15 @@ def _variance_of_mean(
     return (shared + float(np.sqrt(constant_m2).sum()) ** 2) / len(t_gps_s) ** 2
 
 
-def _runs(numbers: list[int]) -> str:
-    """Sorted whole numbers in words, neighbours as one run: ``15, 27 to 30``."""
+def runs_of(numbers: Iterable[int]) -> list[list[int]]:
+    """First and last of each run of neighbouring whole numbers, which are sorted."""
     runs: list[list[int]] = []
     for number in numbers:
-        if runs and number == runs[-1][-1] + 1:
-            runs[-1].append(number)
+        if runs and number == runs[-1][1] + 1:
+            runs[-1][1] = number
         else:
-            runs.append([number])
-    return ", ".join(f"{run[0]} to {run[-1]}" if len(run) > 1 else f"{run[0]}" for run in runs)
+            runs.append([number, number])
+    return runs
 
 
 def _variances(points: pd.DataFrame, settings: ComparisonSettings) -> tuple[ArrayF, ArrayF, ArrayF]:

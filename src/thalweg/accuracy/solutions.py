@@ -15,7 +15,7 @@ import pandas as pd
 from scipy.optimize import nnls
 
 from thalweg.accuracy.comparison import predicted_sigma_m
-from thalweg.accuracy.comparison_tables import ALL, AS_MEASURED, WITHOUT_OUTLIERS
+from thalweg.accuracy.comparison_tables import ALL, AS_MEASURED, WITHOUT_OUTLIERS, runs_of
 from thalweg.accuracy.statistics import describe_errors
 from thalweg.core import AnyArray, ArrayB, ArrayF, InputError, Trajectory, root_mean_square
 
@@ -380,11 +380,11 @@ def range_facts(table: pd.DataFrame, points: str = WITHOUT_OUTLIERS) -> dict[str
     names = [name for name in CHAINS if f"{name}_n" in table.columns]
     out: dict[str, Any] = {"points": points, "chains": names}
     for what in ("best_observed", "best_predicted"):
-        out[what] = {n: _runs([int(r) for r in rows.loc[rows[what] == n, "range_m"]]) for n in names}
+        out[what] = {n: runs_of([int(r) for r in rows.loc[rows[what] == n, "range_m"]]) for n in names}
     if {"ins", "camera"} <= set(names):
         two = _best(rows, ["ins", "camera"], "rmse_observed")
         out["best_of_two"] = {
-            n: _runs([int(r) for r, best in zip(rows["range_m"], two, strict=True) if best == n])
+            n: runs_of([int(r) for r, best in zip(rows["range_m"], two, strict=True) if best == n])
             for n in ("ins", "camera")
         }
     compared = rows[rows["best_observed"].isin(names)]
@@ -425,17 +425,6 @@ def crossings_m(range_m: ArrayF, one: ArrayF, other: ArrayF) -> list[float]:
     r, gap = range_m[known], (one - other)[known]
     at = np.flatnonzero(np.sign(gap[:-1]) != np.sign(gap[1:]))
     return [float(r[i] + (r[i + 1] - r[i]) * gap[i] / (gap[i] - gap[i + 1])) for i in at]
-
-
-def _runs(classes: list[int]) -> list[list[int]]:
-    """First and last of each run of neighbouring whole numbers."""
-    runs: list[list[int]] = []
-    for number in classes:
-        if runs and number == runs[-1][1] + 1:
-            runs[-1][1] = number
-        else:
-            runs.append([number, number])
-    return runs
 
 
 def _of_chain(by_range: pd.DataFrame, name: str, points: str) -> pd.DataFrame:

@@ -58,6 +58,7 @@ from .style import (
     round_length as round_length,
     save as save,
     scale_bar as scale_bar,
+    sentence as sentence,
     show_plan as show_plan,
     styled as styled,
     thinned as thinned,

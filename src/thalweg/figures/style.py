@@ -575,6 +575,11 @@ def fix_styles(fixes: Iterable[str]) -> list[tuple[str, str, str]]:
     return [(fix, *FIX_STYLE.get(fix, (GREY, "."))) for fix in [*known, *sorted(met - set(FIX_STYLE))]]
 
 
+def sentence(words: str) -> str:
+    """A note as a sentence: a capital letter first and a full stop last."""
+    return f"{words[0].upper()}{words[1:].rstrip('.')}." if words else ""
+
+
 def plural(n: int, thing: str) -> str:
     """``1 gap``, ``2 gaps``, ``no gap``.
 
@@ -663,12 +668,14 @@ def scale_bar(
     return length_m
 
 
-def north_arrow(ax: Axes, *, xy: tuple[float, float] = (0.965, 0.95)) -> None:
-    """Draw a north arrow; north is up in every plan view."""
+def north_arrow(
+    ax: Axes, *, xy: tuple[float, float] = (0.965, 0.95), towards: Sequence[float] = (0.0, 26.0)
+) -> None:
+    """Draw a north arrow with its tip at ``xy``, which points ``towards`` north: right and up, in points."""
     ax.annotate(
         "N",
         xy=xy,
-        xytext=(0, -26),
+        xytext=(-towards[0], -towards[1]),
         xycoords="axes fraction",
         textcoords="offset points",
         ha="center",

@@ -9,7 +9,7 @@ import pandas as pd
 
 from thalweg.accuracy import verdict_of
 from thalweg.bathymetry import REASONS
-from thalweg.figures import JUDGED, Finding, Page, count, number, plural
+from thalweg.figures import JUDGED, Finding, Page, count, number, plural, sentence
 
 
 def bed_page(
@@ -100,7 +100,7 @@ def bed_page(
     page.text(
         f"Water level {level['level_m']:.3f} ± {level['sigma_m']:.3f} m (local frame), fall "
         f"{level['fall_m_per_km']:.2f} m/km, rise {level['rise_m_per_h']:.3f} m/h. "
-        + " ".join(f"{note[0].upper()}{note[1:]}." for note in level["notes"])
+        + " ".join(map(sentence, level["notes"]))
         + " "
         + "; ".join(
             f"{side} bank: {row['sum']} of {row['size']} places seen" for side, row in seen.iterrows()
@@ -186,7 +186,7 @@ def _beside(measured: Mapping[str, Any]) -> pd.DataFrame:
 def _surroundings(fit: Mapping[str, Any]) -> str:
     """How the cloud of the surroundings lies on the ground of the banks."""
     if "fitted_shift_m" not in fit:
-        return f"{fit['why'][0].upper()}{fit['why'][1:]}."
+        return sentence(fit["why"])
     shift = ", ".join(
         f"{100 * value:+.1f} ± {100 * sigma:.1f}"
         for value, sigma in zip(fit["fitted_shift_m"], fit["sigma_shift_m"], strict=True)
@@ -251,5 +251,5 @@ def _crossings(found: Mapping[str, Any]) -> str:
     else:
         which = "Those within one run" if "steps" in found.get("agreement", {}) else "They"
         words += f" {which} are too few to estimate the time-correlated errors: the stated ones are used."
-    words += "".join(f" {note[0].upper()}{note[1:]}." for note in found.get("notes", []))
+    words += "".join(f" {sentence(note)}" for note in found.get("notes", []))
     return words

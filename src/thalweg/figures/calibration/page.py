@@ -10,7 +10,7 @@ import pandas as pd
 from thalweg.accuracy import verdict_of, verdict_of_ratio
 from thalweg.core import AnyArray, read_json
 from thalweg.core.calibration import Block, Calibration, read_calibration, unit_of
-from thalweg.figures import Finding, Page, count, plural
+from thalweg.figures import Finding, Page, count, plural, sentence
 from thalweg.figures.calibration.tables import read_figure_table
 from thalweg.ingest.registry import largest_correlations, with_sigma
 
@@ -75,9 +75,7 @@ def stability_words(facts: Mapping[str, Any]) -> str:
 
 def left_out(facts: Mapping[str, Any]) -> list[str]:
     """Remarks of the report of a field or of a camera: its notes; without any, what it rejected by reason."""
-    lines = [
-        note[:1].upper() + note[1:] + ("" if note.endswith(".") else ".") for note in facts.get("notes", [])
-    ]
+    lines = [sentence(note) for note in facts.get("notes", [])]
     if lines:  # they name what was rejected
         return lines
     rejected = pd.DataFrame(list(facts.get("rejected", [])), columns=["what", "name", "reason"])
@@ -381,7 +379,7 @@ def _result(page: Page, calibration: Calibration, shown: dict[str, tuple[str, An
         shown[block.name], new = (calibration.title, values), True
         page.table(block_table(calibration, block), f"{block.name}: {block.equation}".replace(" @ ", " "))
         known_facts = ", ".join(f"{key.replace('_', ' ')}: {value}" for key, value in block.facts.items())
-        remarks = [_sentence(block.convention), _sentence(known_facts), PUBLISHED.get(block.name, "")]
+        remarks = [sentence(block.convention), sentence(known_facts), PUBLISHED.get(block.name, "")]
         if any(remarks):
             page.text("\n\n".join(remark for remark in remarks if remark))
     if not new:
@@ -389,10 +387,6 @@ def _result(page: Page, calibration: Calibration, shown: dict[str, tuple[str, An
     if any(block.is_pose for block in calibration.blocks) and first:
         page.text(FRAMES_NOTE)
     page.text("Largest correlations:").lines(largest_correlations(calibration, 8))
-
-
-def _sentence(words: str) -> str:
-    return f"{words[:1].upper()}{words[1:]}{'' if words.endswith('.') else '.'}" if words else ""
 
 
 def block_table(calibration: Calibration, block: Block) -> pd.DataFrame:

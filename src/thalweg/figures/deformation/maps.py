@@ -21,7 +21,6 @@ from thalweg.figures import (
     BLUE,
     GREEN,
     GREY,
-    HALO,
     ORANGE,
     PURPLE,
     SKY,
@@ -30,6 +29,7 @@ from thalweg.figures import (
     colour_bar,
     count,
     new_figure,
+    north_arrow,
     number,
     styled,
 )
@@ -215,21 +215,7 @@ def _view_from_above(ax: Axes, pair: BankPair) -> None:
     ax.set_xlim(pair.s_m.min() - pair.spacing_m, pair.s_m.max() + pair.spacing_m)
     ax.set_ylim(pair.into_m.min() - pair.spacing_m, pair.into_m.max() + pair.spacing_m)
     ax.set_ylabel(pair.scene.away)
-    north = np.array([pair.along[1], pair.into[1]])
-    ax.annotate(
-        "N",
-        xy=(0.965, 0.5),
-        xytext=(-20.0 * north[0], -20.0 * north[1]),
-        xycoords="axes fraction",
-        textcoords="offset points",
-        ha="center",
-        va="center",
-        fontsize=7,
-        fontweight="bold",
-        gid="north-arrow",
-        path_effects=HALO,
-        arrowprops={"arrowstyle": "-|>", "lw": 1.0, "color": "black", "shrinkA": 4, "shrinkB": 0},
-    )
+    north_arrow(ax, xy=(0.965, 0.5), towards=(20.0 * pair.along[1], 20.0 * pair.into[1]))
 
 
 def _plan_mm(pair: BankPair) -> float:

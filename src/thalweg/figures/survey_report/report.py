@@ -25,7 +25,7 @@ from thalweg import __version__
 from thalweg.accuracy import verdict_of, verdict_of_ratio
 from thalweg.bathymetry import REASONS, S44
 from thalweg.core import Trajectory, final_path, optional, read_json, unix_from_gps, utc_text_from_gps
-from thalweg.figures import TWIN_MARK, count, note_of, number, plural
+from thalweg.figures import TWIN_MARK, count, note_of, number, plural, sentence
 from thalweg.figures.survey import centre_in_words, track_length_m
 from thalweg.ingest.registry import with_sigma
 
@@ -410,7 +410,7 @@ def _geodesy(page: _Report, path: Trajectory, crs: CRS, settings: Mapping[str, A
             f"at the middle of the track), fall {_n(level['fall_m_per_km'], 2)} m/km, rise "
             f"{_n(level['rise_m_per_h'], 3)} m/h. Soundings are heights by GNSS and INS, not depths below "
             "a gauge.",
-            *map(_sentence, level["notes"]),
+            *map(sentence, level["notes"]),
         )
     else:
         page.text("No water level was derived.")
@@ -440,7 +440,7 @@ def _processing(page: _Report, path: Trajectory) -> None:
         poses = f"{count(path.valid.sum())} of {count(len(path.valid))} poses valid"
         page.text(
             f"Trajectory: {used}, {poses}, {plural(len(track['gaps']), 'gap')}.",
-            *map(_sentence, track["notes"]),
+            *map(sentence, track["notes"]),
         )
     page.figures("trajectory")
     cloud = page.records("lidar/counts.csv")
@@ -715,10 +715,6 @@ def _reference(page: _Report) -> "pd.Series[float] | None":
 def _n(value: float, digits: int, sign: str = "") -> str:
     """A number with thousands apart, without the sign of a zero; nan: a dash."""
     return "–" if pd.isna(value) else f"{round(value, digits) + 0.0:{sign},.{digits}f}".replace("-", "−")
-
-
-def _sentence(note: str) -> str:
-    return f"{note[0].upper()}{note[1:].rstrip('.')}."
 
 
 def _length(metres: float, sign: str = "") -> str:
