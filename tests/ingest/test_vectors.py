@@ -1,6 +1,7 @@
 """The same lines and areas in every format of a GIS; what is broken is refused with a sentence."""
 
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -175,6 +176,30 @@ def test_what_states_no_system_is_noted(tmp_path):
     wrong = geojson(tmp_path / "e.geojson", line((EAST_M, NORTH_M), (EAST_M + 1, NORTH_M)), crs=named)
     with pytest.raises(InputError, match=r"places in .*CRS ?84.* have none in ETRS89"):
         read_vectors(wrong).on_map(MAP)
+
+
+@pytest.mark.parametrize(
+    ("code", "corner", "words"),
+    [
+        # without the grid file of the land survey PROJ knows this datum to 3 m
+        (31468, (4_621_512, 5_659_000), "transformed to ETRS89 / UTM zone 33N, to about 3 m"),
+        (4314, (13.7, 51.0), "states DHDN: its places were transformed to .*, to about 3 m"),
+        # PROJ took this datum for that of the map: Airy's ellipsoid, some 100 m off
+        (4279, (13.7, 51.0), r"places in OS\(SN\)80 have none in ETRS89"),
+        # which then lay at 13.7 m east of the false origin
+        (25833, (13.7, 51.0), "look like degrees; expected metres"),
+    ],
+)
+def test_another_datum_is_told_or_refused(tmp_path, code, corner, words):
+    named = {"type": "name", "properties": {"name": f"urn:ogc:def:crs:EPSG::{code}"}}
+    drawn = read_vectors(
+        geojson(tmp_path / "a.geojson", line(corner, (corner[0] + 0.01, corner[1])), crs=named)
+    )
+    try:
+        told = drawn.on_map(MAP).notes[-1]
+    except InputError as error:
+        told = str(error)
+    assert re.search(words, told)
 
 
 def test_a_grid_of_a_site_is_no_place_on_a_map(tmp_path):

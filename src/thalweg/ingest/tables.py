@@ -10,7 +10,6 @@ nothing words and numbers of `thalweg.core.values.NOTHING`
 ======= ======================================================================================================
 """
 
-import contextlib
 import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
@@ -21,7 +20,6 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 from pyproj import CRS, Transformer
-from pyproj.exceptions import ProjError
 
 from thalweg.core import (
     WEEK_S,
@@ -39,6 +37,7 @@ from thalweg.core.values import (
     SPOKEN,
     WORDS,
     Unit,
+    accuracy_in_words,
     check_places,
     far_repeated,
     in_metres,
@@ -47,6 +46,7 @@ from thalweg.core.values import (
     says_downwards,
     unit_of_word,
     utm_of,
+    way_between,
 )
 from thalweg.ingest.moments import CLOCK, past_midnight, unix_of_texts
 from thalweg.ingest.stamps import doubtful_date, possible_unix
@@ -103,8 +103,6 @@ _SECOND_M: Final = 10.0
 NUMBER: Final = re.compile(r"[-+−]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][-+]?\d+)?")
 _SECONDS: Final = {"s": 1.0, "sec": 1.0, "ms": 1e3, "us": 1e6}
 """Units of time -> how many of them make a second."""
-_OF_TODAY: Final = ("WGS 84", "GRS 1980")
-"""Ellipsoids of systems that differ from WGS 84 by a metre or two."""
 _UTM_ZONE: Final = re.compile(r"(?i)(?<![a-z])UTM[\W_]*(?:zone[\W_]*)?(\d\d?)(?!\d)")
 _OF_ZONES: Final = ("timezone", "time_zone", "tz", "tz_cd", "utc_offset", "utcoffset")
 _PACKED: Final = re.compile(r"(?i)[(\[_ ]d+[.°]?m[m.]|[(\[_ ](?:dms|ddm|dmm)\b")
@@ -550,9 +548,10 @@ class Table:
             east, north = way.transform(lon, lat)
             xy = np.column_stack([east, north])
             xy[~known] = np.nan
-            notes = [f"latitude and longitude {said} and transformed to {on.name}"]
-            if crs is None:
-                notes[0] += ", the zone of UTM of the data"
+            also = ", the zone of UTM of the data" if crs is None else ""
+            notes = [
+                f"latitude and longitude {said} and transformed to {on.name}{also}{accuracy_in_words(way)}"
+            ]
             if not (metric and crs is not None):
                 if not np.isfinite(xy[known]).all():
                     middle = in_words(float(np.median(lon[known])), float(np.median(lat[known])))
@@ -616,11 +615,8 @@ class Table:
         source = CRS.from_epsg(self.degrees or 4326)
         if self.degrees in (None, 4326):
             return Transformer.from_crs(4326, on, always_xy=True), "taken as WGS 84"
-        with contextlib.suppress(ProjError):
-            way = Transformer.from_crs(source, on, always_xy=True, allow_ballpark=False)
+        if (way := way_between(source, on)) is not None:
             return way, f"are in {source.name}, as the file states,"
-        if source.ellipsoid is not None and source.ellipsoid.name in _OF_TODAY:
-            return Transformer.from_crs(4326, on, always_xy=True), f"in {source.name} taken as WGS 84"
         raise InputError(
             f"latitude and longitude in {source.name}, by the file",
             where=self.path,

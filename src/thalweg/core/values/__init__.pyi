@@ -11,6 +11,7 @@ from .places import (
     HIGHEST_M as HIGHEST_M,
     LOWEST_M as LOWEST_M,
     Reading as Reading,
+    accuracy_in_words as accuracy_in_words,
     check_degrees as check_degrees,
     check_heights as check_heights,
     check_places as check_places,
@@ -19,6 +20,7 @@ from .places import (
     near_world as near_world,
     readings as readings,
     utm_of as utm_of,
+    way_between as way_between,
     world_of as world_of,
 )
 from .stated import (

@@ -6,6 +6,7 @@ tried as what people usually mistake (order, degrees, feet, another zone, a zone
 refusal names the reading that would fit. Nothing is converted here: what a file does not state is asked.
 """
 
+import contextlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +16,7 @@ import numpy as np
 from pyproj import CRS, Geod, Transformer
 from pyproj.aoi import AreaOfInterest, AreaOfUse
 from pyproj.database import query_utm_crs_info
+from pyproj.exceptions import ProjError
 
 from thalweg.core import ArrayB, ArrayF, GeometryError, InputError, LocalFrame
 from thalweg.core.values.stated import horizontal_of
@@ -40,6 +42,10 @@ _UTM: Final = ((32601, 32660), (32701, 32760), (25828, 25838))
 _MOST_APART_M: Final = 200_000.0
 _MOST_STRETCHED: Final = 0.1
 """Logarithm of the scale of a map: Web Mercator has 0.46 at 51 degrees, polar maps have less than 0.06."""
+_OF_TODAY: Final = ("WGS 84", "GRS 1980")
+"""Ellipsoids of systems that differ from WGS 84 by a metre or two."""
+_TOLD_M: Final = 1.0
+"""Accuracy that PROJ states of WGS 84 and the systems of today: what is worse is told."""
 _EARTH_M: Final = (6.33e6, 6.40e6)
 _OLD_GRIDS: Final = (31466, 31467, 31468, 31469)
 """EPSG codes of grids of another datum, that of Germany until 1990 and after."""
@@ -72,6 +78,24 @@ def in_words(lon_deg: float, lat_deg: float) -> str:
     """A place as people say it, such as ``51.0500 N, 13.7500 E``."""
     side = ("N" if lat_deg >= 0 else "S", "E" if lon_deg >= 0 else "W")
     return f"{abs(lat_deg):.4f} {side[0]}, {abs(lon_deg):.4f} {side[1]}"
+
+
+def way_between(source: CRS, crs: CRS) -> Transformer | None:
+    """From one coordinate system to another, east or longitude first; None: PROJ knows no way between datums.
+
+    PROJ then takes two datums for one ("ballpark"), which may lie 100 m apart. That is done here only where
+    both are on an ellipsoid of today, and differ by a metre or two.
+    """
+    with contextlib.suppress(ProjError):
+        return Transformer.from_crs(source, crs, always_xy=True, allow_ballpark=False)
+    today = all(each.ellipsoid is not None and each.ellipsoid.name in _OF_TODAY for each in (source, crs))
+    return Transformer.from_crs(source, crs, always_xy=True) if today else None
+
+
+def accuracy_in_words(way: Transformer) -> str:
+    """How well places were just transformed, such as ``, to about 3 m``; empty if to a metre or better."""
+    metres = way.get_last_used_operation().accuracy
+    return f", to about {metres:g} m" if metres > _TOLD_M else ""
 
 
 def check_places(

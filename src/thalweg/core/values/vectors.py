@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import pandas as pd
 from pyproj import CRS
-from pyproj.exceptions import CRSError, ProjError
+from pyproj.exceptions import CRSError
 
 from thalweg.core import ArrayB, ArrayF, InputError, require_file
-from thalweg.core.values.places import check_places, utm_of
+from thalweg.core.values.places import accuracy_in_words, check_degrees, check_places, utm_of, way_between
 from thalweg.core.values.stated import refuse_depths
 from thalweg.core.values.units import units_of_crs
 
@@ -151,26 +151,35 @@ class Vectors:
                     "latitude in WGS 84, which the numbers can be",
                 )
         xy = shapely.get_coordinates(self.table.geometry)
+        if self.crs is not None and source.is_projected:
+            check_degrees(xy, where=self.path, cure=f"Correct its coordinate system, now {source.name}")
         degrees = source.is_geographic and bool((np.abs(xy) <= _DEGREES).all())
         if crs.is_projected and (degrees or (self.crs is None and self.kind != "dxf")):
             check_places(xy, crs, where=self.path, degrees=degrees, one_survey=False)
         if source.equals(crs, ignore_axis_order=True):
             return replace(self, crs=crs, notes=notes)
-        try:
-            table = self.table.set_crs(source, allow_override=True).to_crs(_plane(crs))
-            there = bool(np.isfinite(shapely.get_coordinates(table.geometry)).all())
-        except ProjError:  # no way leads from one to the other
-            there = False
-        if not there:
+        way, table, there = way_between(source, _plane(crs)), self.table, False
+        if way is not None:
+            shapes = shapely.transform(
+                table.geometry.to_numpy(),
+                lambda xyz: np.column_stack([*way.transform(*xyz.T[:2]), *xyz.T[2:]]),
+                include_z=True,
+            )
+            there = bool(np.isfinite(shapely.get_coordinates(shapes)).all())
+        if way is None or not there:
             raise InputError(
                 f"places in {source.name} have none in {crs.name}",
                 where=self.path,
-                expected=f"places in {crs.name}",
+                expected=f"places in {crs.name}, and a way to it that PROJ knows",
                 cure="Look whether its numbers are in the system that it states, and degrees in the order "
-                "longitude, latitude",
+                "longitude, latitude; between datums transform it with the grid files of the land survey",
             )
-        if source.is_projected:
-            notes += (f"{self.path.name} states {source.name}: its places were transformed to {crs.name}",)
+        table = table.set_geometry(shapes).set_crs(_plane(crs), allow_override=True)
+        if source.is_projected or accuracy_in_words(way):
+            notes += (
+                f"{self.path.name} states {source.name}: its places were transformed to "
+                f"{crs.name}{accuracy_in_words(way)}",
+            )
         return replace(self, table=table, crs=crs, notes=notes)
 
     def lines(self) -> list[tuple[ArrayF, dict[str, Any]]]:
