@@ -166,6 +166,11 @@ def a_gis_tif(path: Path, bands: ArrayF, names: tuple[str, ...] = (), crs: int =
         ((), {"standard_name": "sea_floor_depth_below_geoid"}, 25833, r"depths \(sea_floor_depth"),
         (("stdev",), {}, 25833, "a band of 'stdev'"),
         (("Slope (degree)",), {}, 25833, r"a band of 'Slope \(degree\)'"),
+        # each was read as heights
+        (("ELEVATION_ERROR",), {}, 25833, "a band of 'ELEVATION_ERROR'"),
+        (("sigma of height (m)",), {}, 25833, "a band of 'sigma of height"),
+        ((), {"long_name": "slope of the ground"}, 25833, "a band of 'slope of the ground'"),
+        ((), {"scale_factor": "0.1", "add_offset": "0"}, 25833, r"tags scale_factor 0\.1 and add_offset 0"),
         ((), {}, 3857, r"has 1\.5\d m for a metre of ground.*zone of UTM \(EPSG:32633\)"),
         ((), {}, 31468, "expected coordinates in DHDN / 3-degree Gauss-Kruger zone 4"),
     ],
@@ -175,6 +180,19 @@ def test_bands_and_maps_of_something_else_are_refused(tmp_path, names, tags, crs
     with pytest.raises((InputError, UnsupportedError), match=found):
         read_dsm(path)
     assert len(read_dsm(a_gis_tif(path, relief(), ("dem slope-corrected",))).points_m()) == 600
+    assert len(read_dsm(a_gis_tif(path, relief(), scale_factor="1.0", add_offset="0.0")).points_m()) == 600
+
+
+def test_numbers_of_colours_are_no_heights_and_a_height_stands_beside_its_error(tmp_path):
+    bands = np.stack([relief(), np.full((20, 30), 0.1), np.full((20, 30), 255.0)])
+    path = a_gis_tif(tmp_path / "a.tif", bands, ("height", "height_error", "opaque"))
+    assert read_dsm(path).height_m == pytest.approx(relief(), abs=1e-5)
+    with rasterio.open(tmp_path / "b.tif", "w", driver="GTiff", width=3, height=2, count=1, dtype="uint8",
+                       crs=25833, transform=rasterio.Affine(1, 0, 4e5, 0, -1, 5.65e6)) as file:  # fmt: skip
+        file.write(np.arange(1, 7, dtype=np.uint8).reshape(1, 2, 3))
+        file.write_colormap(1, {k: (k, k, k, 255) for k in range(256)})
+    with pytest.raises(UnsupportedError, match="a band of numbers of colours"):
+        read_dsm(tmp_path / "b.tif")
 
 
 def test_what_tags_and_names_of_bands_say_of_heights(tmp_path):
