@@ -232,8 +232,14 @@ def test_a_level_plain_shows_no_shift_along_itself(rng):
             GeometryError,
             "differ",
         ),
+        # ended in a bare warning of NumPy about infinities
+        (
+            lambda p, rng: np.where(np.arange(len(p))[:, None] < 5, np.inf, p),
+            GeometryError,
+            "5 of 8,000 points without",
+        ),
     ],
-    ids=["geoid", "datum", "elsewhere", "other ground"],
+    ids=["geoid", "datum", "elsewhere", "other ground", "infinite heights"],
 )
 def test_a_cloud_that_does_not_fit_is_refused(rng, change, error, words):
     ours, theirs = bank(rng, 8000), bank(rng, 8000)

@@ -112,6 +112,10 @@ class Cloud:
     rgb : (n, 3) uint16 colours, or None.
     pose : (n, 3) variances, horizontal and up, that come by the pose of the boat, which neighbouring points
         share, and the time in which they decay evenly, in units of their correlation time; None: not known.
+
+    Raises
+    ------
+    GeometryError : coordinates that are not finite.
     """
 
     xyz_m: ArrayF
@@ -119,6 +123,15 @@ class Cloud:
     sigma_up_m: ArrayF
     rgb: AnyArray | None = None
     pose: ArrayF | None = None
+
+    def __post_init__(self) -> None:
+        if n := len(self.xyz_m) - int(np.isfinite(self.xyz_m).all(axis=1).sum()):
+            raise GeometryError(
+                f"{n:,} of {len(self.xyz_m):,} points without finite coordinates",
+                expected="points with three numbers",
+                where="a cloud",
+                cure="Leave these points out",
+            )
 
     def part(self, keep: ArrayB | ArrayI) -> "Cloud":
         """Those points alone."""
