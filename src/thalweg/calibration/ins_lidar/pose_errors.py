@@ -17,7 +17,7 @@ The position of the ics origin is ``x_antenna - R l``, so a turn of the boat tur
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Final, Self
 
 import numpy as np
@@ -90,17 +90,6 @@ class PoseErrors:
         """From a section of a campaign file: the same names, with ``sigma_attitude_deg``."""
         values = dict(section)
         return cls(sigma_attitude_rad=np.deg2rad(values.pop("sigma_attitude_deg")), **values)
-
-    def scaled(self, *, position: float = 1.0, attitude: float = 1.0, time: float = 1.0) -> Self:
-        """The same errors with other sizes and correlation times."""
-        return replace(
-            self,
-            sigma_position_m=self.sigma_position_m * position,
-            sigma_attitude_rad=self.sigma_attitude_rad * attitude,
-            position_time_s=self.position_time_s * time,
-            attitude_time_s=self.attitude_time_s * time,
-            heading_time_s=self.times_s[5] * time,
-        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
