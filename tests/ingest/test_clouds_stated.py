@@ -237,6 +237,14 @@ def test_headers_that_contradict_their_points(tmp_path):
     path.write_bytes(raw)
     n = int((points()[:, 0] > 412_000.0015).sum())
     assert f"{n} points lie outside of the box" in " ".join(read_cloud(path).report.notes)
+    short = raw.copy()
+    struct.pack_into(
+        "<Q", short, 247, N - 50
+    )  # of a recording that ended before its header was written again
+    path.write_bytes(short)
+    cloud = read_cloud(path)
+    assert len(cloud.points) == N - 50
+    assert "is room for 50 more: not read" in " ".join(cloud.report.notes)
     for at, value in ((131, 0.0), (155, 1e300), (139, np.nan)):
         bad = raw.copy()
         struct.pack_into("<d", bad, at, value)

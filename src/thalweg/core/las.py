@@ -581,9 +581,18 @@ def header_from_laspy(header: Any, where: Path) -> LazHeader:
             for d in point_format.extra_dimensions
         },
         format_version=version,
-        notes=stated.notes,
+        notes=stated.notes + _uncounted(header, where),
         box_m=np.array([header.mins, header.maxs]) * factors,
     )
+
+
+def _uncounted(header: Any, where: Path) -> tuple[str, ...]:
+    """A sentence where an uncompressed file has more points than its header counts, as a cut recording."""
+    if header.are_points_compressed or header.number_of_evlrs or header.start_of_waveform_data_packet_record:
+        return ()
+    room = (where.stat().st_size - header.offset_to_point_data) // header.point_format.size
+    more = room - int(header.point_count)
+    return (f"Behind the points that the header counts is room for {more:,} more: not read.",) * (more > 0)
 
 
 def _stated(header: Any, where: Path) -> Stated:
