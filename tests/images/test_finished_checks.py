@@ -4,7 +4,9 @@ import re
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
+from PIL import Image
 from pyproj import CRS
 
 from tests.bands import band
@@ -24,8 +26,10 @@ from tests.images.finished_scene import (
     write_colmap_text,
     write_metashape,
 )
-from thalweg.core import GeometryError, InputError, exp_rotation
+from thalweg.core import GeometryError, InputError, exp_rotation, read_colmap
+from thalweg.images import place_files
 from thalweg.images.model import align, mean_rotation, unknown_poses
+from thalweg.settings.sections import LOCAL, ControlSettings, FinishedOrientations
 
 NO_NAMES = (
     "eo.txt: The file names no columns: taken as image, x, y, z, omega, phi, kappa, "
@@ -230,3 +234,53 @@ def test_the_mean_rotation_is_not_that_of_outliers(rng):
     turns[:4] = exp_rotation(np.array([0.0, 2.0, 0.0])) @ R
     # 16 rotations of 1e-3 rad: 2.5e-4 in the mean
     assert np.abs(mean_rotation(turns) - R).max() < 1e-3
+
+
+# ---------------------------------------------------------------- photographs
+
+
+@pytest.mark.parametrize(
+    ("sizes", "words"),
+    [
+        ([(1440, 1080)] * 12, ""),
+        ([(736, 542)] * 12, "the same ratio of the sides"),  # a model of undistorted pictures
+        ([(720, 540)] * 11 + [(1440, 1080)], "pictures of 1440 x 1080 pixels; expected 720 x 540"),
+    ],
+)
+def test_marks_are_those_of_the_photographs_whatever_size_the_model_is_of(tmp_path, sizes, words):
+    """Marks of the photographs counted in the smaller pixels of the model, hundreds of them away."""
+    lens = read_colmap(write_colmap_text(tmp_path / "model") / "cameras.txt")[7]
+    for name, size in zip(TRUTH.images, sizes, strict=True):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        Image.new("L", size).save(tmp_path / name, "JPEG")
+    rows = ["image,point,x_px,y_px,sigma_px"]
+    points = {f"p{k}": TRUTH.C[k] + TRUTH.R[k] @ [0.3 * k - 1.0, 0.5, 20.0] for k in (4, 5, 6)}
+    for i, name in enumerate(TRUTH.images):
+        for point, xyz in points.items():
+            (xy,) = lens.project((xyz - TRUTH.C[i]) @ TRUTH.R[i])
+            if lens.inside(xy[None])[0]:
+                x, y = xy * np.divide(sizes[0], lens.size_px)
+                rows.append(f"{Path(name).name},{point},{x:.4f},{y:.4f},0.5")
+    (tmp_path / "marks.csv").write_text("\n".join(rows))
+    places = [f"{name},{x:.5f},{y:.5f},{z:.5f}" for name, (x, y, z) in points.items()]
+    (tmp_path / "points.csv").write_text("\n".join(["id,x,y,z", *places]))
+    given = {
+        "images": [tmp_path / "run"],
+        "control_points": [tmp_path / "points.csv"],
+        "marks": [tmp_path / "marks.csv"],
+        "interior": [],
+        "orientations": [tmp_path / "model"],
+        "folder": tmp_path / "out",
+        "campaign": {"id": "a", "crs": LOCAL, "origin": None},
+        "finished": FinishedOrientations(crs="world"),
+        "control": ControlSettings(),
+    }
+    if words:
+        with pytest.raises((GeometryError, InputError), match=words):
+            place_files(**given)
+    else:
+        place_files(**given)
+        off = pd.read_csv(tmp_path / "out/finished_points.csv").query("role == 'check'")
+        assert len(off) == 3
+        # marks and coordinates are rounded to 0.1 um of the picture and 10 um
+        assert off[[f"off_{axis}_mm" for axis in ("east", "north", "up")]].abs().to_numpy().max() < 1.0

@@ -10,12 +10,13 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from thalweg.calibration import collinear, interior_calibration, read_camera
+from thalweg.calibration import collinear, interior_calibration, read_camera, same_size
 from thalweg.core import ArrayF, Camera, InputError, LocalFrame
 from thalweg.core.calibration import Source, write_calibration
 from thalweg.images.bundle import CONTROL_COLUMNS
 from thalweg.images.control import frame_about, matched_marks, read_all_control_points, read_all_marks
 from thalweg.images.imports import import_orientations
+from thalweg.images.masks import size_of
 from thalweg.images.model import ControlMarks, ControlPoints, ImagePoses, nearest_to_rays, unknown_poses
 from thalweg.images.photographs import pose_table
 from thalweg.ingest.photos import find_images, named_images
@@ -156,16 +157,23 @@ def place_files(
 
     Raises
     ------
-    InputError : files that cannot be read, or no place on the earth for a map grid.
+    InputError : files that cannot be read, no place on the earth for a map grid, or photographs of another
+        size than the lens.
+    GeometryError : photographs of another shape than the pictures of the lens.
     """
     crs = campaign["crs"]
     frame = _frame(campaign, control_points)
-    names = tuple(named_images(find_images(images).files))
+    files = named_images(find_images(images).files)
+    names = tuple(files)
     settings = finished.model_dump(mode="json")
     if crs == LOCAL and settings["crs"] is None:
         settings["crs"] = "world"
     found = import_orientations(orientations, unknown_poses(frame, names), settings, crs=crs)
     lens = found.camera or (read_camera(interior[0]) if interior else None)
+    if lens is not None and (sizes := sorted({size for path in files.values() if (size := size_of(path))})):
+        # marks are measured in the photographs; a program may have worked with smaller or undistorted ones
+        lens = lens.scaled(sizes[0])
+        same_size(lens, sizes[-1])
     points = read_all_control_points(
         control_points, frame, crs=crs, sigma_m=control.sigma_m, height_offset_m=control.height_offset_m
     )
