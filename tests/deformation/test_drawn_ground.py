@@ -209,7 +209,7 @@ def test_a_network_of_two_is_the_pair(tmp_path):
         assert apart == pytest.approx(moved.cov, abs=1e-9)
 
 
-def test_polygons_lines_and_points_of_a_file_are_stable_ground(tmp_path):
+def test_polygons_lines_and_points_of_a_file_are_stable_ground(tmp_path, caplog):
     shapes = [
         shapely.box(EAST, NORTH - 20, EAST + 8, NORTH - 10),
         shapely.LineString([(EAST + 20, NORTH - 5), (EAST + 30, NORTH - 5)]),
@@ -230,6 +230,9 @@ def test_polygons_lines_and_points_of_a_file_are_stable_ground(tmp_path):
     assert (east, north) == pytest.approx((EAST + 50, NORTH - 9), abs=0.01)
     some = with_drawn_areas(SETTINGS.replace(stable=f"{path}?kind=other"), FRAME, "EPSG:25833")
     assert len(some.stable or []) == 1
+    (tmp_path / "bare.geojson").write_text(shapely.to_geojson(shapes[0]))
+    with_drawn_areas(SETTINGS.replace(stable=str(tmp_path / "bare.geojson")), FRAME, "EPSG:25833")
+    assert "bare.geojson states no coordinate system: taken for places in ETRS89" in caplog.text
     ring = shapely.box(0, 0, 9, 9).difference(shapely.box(3, 3, 6, 6))
     gpd.GeoDataFrame(geometry=[shapely.affinity.translate(ring, EAST, NORTH)], crs=25833).to_file(path)
     with pytest.raises(InputError, match="stable ground with a hole"):

@@ -4,6 +4,7 @@ Of their errors is known what somebody states: a standard deviation that neighbo
 far (`SpatialErrors`). They have no trajectory: nothing is known of what they could have seen.
 """
 
+import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -46,6 +47,8 @@ from thalweg.ingest.clouds import to_world
 from thalweg.settings import utm_code
 from thalweg.settings.sections import DSM_ENDINGS, Deformation, Epoch as Statement
 from thalweg.surface import Area
+
+log = logging.getLogger("thalweg")
 
 # ---------------------------------------------------------------- epochs
 
@@ -177,6 +180,8 @@ def with_drawn_areas(settings: Deformation, frame: LocalFrame, crs: str) -> Defo
     if not isinstance(settings.stable, str):
         return settings
     drawn = read_vectors(settings.stable).on_map(CRS.from_user_input(crs))
+    for note in drawn.notes:
+        log.warning("deformation.stable: %s", note)
     half_m = 0.25 * settings.core_spacing_m / np.sqrt(2.0)
     areas = [each if each.geom_type == "Polygon" else each.buffer(half_m) for each in drawn.table.geometry]
     if any(area.interiors for area in areas):
