@@ -111,7 +111,9 @@ def test_pix4d_in_geographic_coordinates(tmp_path):
     head = "imageName X Y Z Omega Phi Kappa"
     path = table(tmp_path / "external.txt", head=head, separator=" ", of=Scene((), *geodetic()), names=names)
     # degrees with 17 digits: 1e-9 m
-    assert_poses(imported(path, crs="EPSG:4326"), atol_m=5e-9)
+    found = imported(path, crs="EPSG:4326")
+    assert_poses(found, atol_m=5e-9)
+    assert "angles are taken from true north" in " ".join(found.facts["notes"])
 
 
 @pytest.mark.parametrize("unit", ["deg", "gon", "rad"])

@@ -164,10 +164,13 @@ def read_angles_table(path: Path, settings: Mapping[str, Any], default_crs: str 
             where=path,
             cure="Set images.finished.crs, `world` if they are in the world frame of the campaign",
         )
+    place = place_of(crs, path)
+    if place.kind == "geographic":
+        notes.append("Coordinates are in degrees: angles are taken from true north, not from that of a grid")
     return Finished(
         program="table of angles",
         where=str(path),
-        place=place_of(crs, path),
+        place=place,
         names=names,
         coordinates=coordinates[:, [1, 0, 2]] if form == FORMS[1] else coordinates,
         R_place_ccs=ccs_rotations(angles),
