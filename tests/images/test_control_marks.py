@@ -166,6 +166,9 @@ def test_masked_and_small_boards_are_counted(pictures):
     hidden = np.full((SIZE[1], SIZE[0]), 255, np.uint8)
     hidden[:, :360] = 0
     found = measure(pictures, survey(), mask=lambda name: hidden)
+    # of another scale its pixels were taken for those of the picture
+    small = measure(pictures, survey(), mask=lambda name: hidden[::2, ::2])
+    assert small.counts["masked"] == found.counts["masked"]
     used = found.table[found.table["used"].astype(bool)]
     assert found.counts["masked"] > 3
     assert (used["x_px"] > 358).all()

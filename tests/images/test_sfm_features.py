@@ -119,7 +119,7 @@ def test_unusable_images_say_why_and_the_rest_goes_on(wall, tmp_path):
     assert "blank (contrast 0.0" in told["blank.png"][1]
     assert "too blurred or without texture" in told["fog.png"][1]
     assert told["masked.png"] == ("masked", "no usable pixels: 100.0 % are masked")
-    assert told["mismatch.png"] == ("mask", "its mask has 320 x 320 pixels, the image 320 x 240")
+    assert told["mismatch.png"] == ("mask", "a mask of 320 x 320 pixels, the image has 320 x 240")
     assert told["good.png"][0] == "mask"
     assert "cannot be read" in told["good.png"][1]
     assert told["zz_twin.png"] == ("double", "the same file as good.png")

@@ -2,11 +2,12 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 from PIL import Image
 
 from thalweg.core import InputError
-from thalweg.ingest.photos import by_any_name, list_images, named_images, read_image_stamps
+from thalweg.ingest.photos import by_any_name, list_images, named_images, read_image_stamps, read_mask
 from thalweg.ingest.photos.files import find_images
 
 
@@ -123,3 +124,20 @@ def test_names_as_people_write_them():
     assert found["left/a"] == "left/a.jpg"
     assert found["b.b"] == found["b.b.jpg"] == "right/b.b.jpg"
     assert "a.jpg" not in found
+
+
+@pytest.mark.parametrize("mode", ["L", "1", "LA", "RGBA", "P", "I;16"])
+def test_a_mask_leaves_out_what_is_black_or_transparent(tmp_path, mode):
+    """Of pictures that were cut out, transparent around what is meant, nothing was masked."""
+    usable = np.arange(12).reshape(3, 4) % 2 > 0
+    if mode in ("LA", "RGBA"):
+        picture = Image.new(mode, (4, 3), (200,) * len(mode))
+        picture.putalpha(Image.fromarray(usable.astype(np.uint8) * 255))
+    elif mode == "I;16":
+        picture = Image.fromarray(usable.astype(np.uint16) * 65_535)
+    else:
+        picture = Image.fromarray(usable.astype(np.uint8) * 255).convert(mode)
+    picture.save(tmp_path / "a.png")
+    np.testing.assert_array_equal(read_mask(tmp_path / "a.png", (8, 6)), usable)
+    with pytest.raises(InputError, match="a mask of 4 x 3 pixels, the image has 6 x 8"):
+        read_mask(tmp_path / "a.png", (6, 8))

@@ -50,6 +50,7 @@ from thalweg.core import (
     optional,
 )
 from thalweg.core.calibration import Calibration, Source, pose_block, read_calibration
+from thalweg.ingest.photos import read_mask
 from thalweg.settings.sections import Rig as RigSettings, RigLens
 
 cv2 = optional("cv2")
@@ -629,19 +630,13 @@ def read_rig_masks(rig: Rig) -> dict[str, ArrayB]:
     ------
     InputError : a mask cannot be read, or has another size than the view.
     """
-    from PIL import Image
-
     masks: dict[str, ArrayB] = {}
     for name in LENSES:
         path = getattr(rig.settings, name).mask
         if path is None:
             continue
-        try:
-            with Image.open(path) as file:
-                mask = np.asarray(file.convert("L")) > 0
-        except (OSError, ValueError) as error:
-            raise InputError(f"no mask ({error})", expected="a whole PNG", where=path) from error
         width, height = rig.cameras[name].size_px
+        mask = read_mask(path, (width, height))
         if mask.shape != (height, width):
             raise InputError(
                 f"a mask of {mask.shape[1]} x {mask.shape[0]} pixels",

@@ -43,6 +43,7 @@ from thalweg.images.model import (
     ControlPoints,
     ImageBlock,
     Similarity,
+    at_pixels,
     matched,
     nearest_to_rays,
     robust_similarity,
@@ -1038,10 +1039,9 @@ def _sights(
             if height < boards.least_board_px:
                 sight.reason = f"too small: {height:.0f} px"
             veil = mask(block.images[i])
-            if veil is not None and search_m == 0.0 and not sight.reason:
-                y, x = (int(v) for v in np.clip(xy[0][::-1], 0, np.array(veil.shape) - 1))
-                if veil[y, x] == 0:
-                    sight.reason = "masked"
+            hidden = veil is not None and not at_pixels(veil > 0, xy[:, 0], xy[:, 1], camera.size_px).all()
+            if hidden and search_m == 0.0 and not sight.reason:
+                sight.reason = "masked"
             out.append(sight)
     return out
 

@@ -45,6 +45,7 @@ from thalweg.core import (
     prange,
 )
 from thalweg.images.model import ImagePoses
+from thalweg.ingest.photos import read_mask
 from thalweg.lidar.cloud import CORRELATION_DIMENSIONS, EXTRA_DIMENSIONS, columns_to_write
 from thalweg.settings.sections import Colour
 
@@ -533,7 +534,7 @@ def choose_views(
 
     Raises
     ------
-    InputError : a mask cannot be read.
+    InputError : a mask cannot be read, or is none of its photograph.
     """
     xyz, t = np.ascontiguousarray(chunk["xyz_m"]), chunk["t_gps_s"]
     n, k = len(xyz), settings.views
@@ -555,7 +556,8 @@ def choose_views(
         for cell_px in views.cell_px
     ]
     balls, concerned = _balls(xyz), _concerned(views, xyz, t, settings)
-    for v, mask in zip(concerned, _ahead(pool, _mask, [views.masks[v] for v in concerned]), strict=True):
+    masks = _ahead(pool, _mask, [(views.masks[v], views.lenses[views.of[v]].size_px) for v in concerned])
+    for v, mask in zip(concerned, masks, strict=True):
         _offer(
             xyz, t, sigma, balls, views.centre_m[v], views.R_wcs_ccs[v], views.lenses[views.of[v]],
             rules[views.of[v]], v, views.t_gps_s[v], views.sigma_m[v], mask, views.nearest_m[v],
@@ -821,24 +823,10 @@ def read_picture(path: Path, size_px: tuple[int, int]) -> AnyArray:
     return picture
 
 
-def _mask(path: Path | None) -> ArrayB:
-    """Where a photograph may be used (h, w), of whatever scale; of no size: everywhere.
-
-    Raises
-    ------
-    InputError : the mask cannot be read.
-    """
-    from PIL import Image
-
-    if path is None:
-        return np.zeros((0, 0), dtype=np.bool_)
-    try:
-        with Image.open(path) as file:
-            return np.asarray(file.convert("L")) > 0
-    except (OSError, ValueError) as error:
-        raise InputError(
-            f"no mask ({error})", expected="a whole PNG, 0 where not to be used", where=path
-        ) from error
+def _mask(of: tuple[Path | None, tuple[int, int]]) -> ArrayB:
+    """Where a photograph of a size may be used (h, w), of whatever scale; of no size: everywhere."""
+    path, size_px = of
+    return np.zeros((0, 0), dtype=np.bool_) if path is None else read_mask(path, size_px)
 
 
 def _coloured(

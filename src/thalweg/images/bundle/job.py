@@ -59,7 +59,7 @@ from thalweg.images.model import (
     matched,
 )
 from thalweg.ingest import GNSS_POSITION
-from thalweg.ingest.photos import by_any_name, named_images
+from thalweg.ingest.photos import by_any_name, named_images, read_mask
 from thalweg.settings.sections import BlockAdjustment, ControlSettings
 
 cv2 = optional("cv2")
@@ -815,7 +815,7 @@ def mask_loader(folder: Path | None) -> Loader:
             return None
         same = folder / PurePosixPath(name).name
         path = find_mask(name, folder) or (same if same.is_file() else None)
-        return None if path is None else _picture(path, cv2.IMREAD_GRAYSCALE)
+        return None if path is None else (read_mask(path) * np.uint8(255)).astype(np.uint8)
 
     return load
 

@@ -17,19 +17,7 @@ from PIL import Image
 from scipy.ndimage import median_filter
 
 from thalweg.calibration import read_camera
-from thalweg.core import (
-    NMAD,
-    AnyArray,
-    ArrayB,
-    ArrayF,
-    ArrayF32,
-    ArrayU8,
-    Camera,
-    InputError,
-    decode_picture,
-    njit,
-    optional,
-)
+from thalweg.core import NMAD, AnyArray, ArrayB, ArrayF, ArrayF32, ArrayU8, Camera, InputError, njit, optional
 from thalweg.images.masks.learning import (
     HULL,
     LAND,
@@ -51,7 +39,7 @@ from thalweg.images.masks.learning import (
     shore_edges,
 )
 from thalweg.images.model import ImagePoses, cameras_of, check_flat_masks, find_mask, named_once
-from thalweg.ingest.photos import Images
+from thalweg.ingest.photos import Images, read_mask
 from thalweg.settings.sections import MaskSettings
 
 cv2 = optional("cv2")
@@ -1141,17 +1129,19 @@ def _supplied_masks(
         if file is None:
             problems[name] = ["no supplied mask"]
             continue
-        mask = decode_picture(np.fromfile(file, dtype=np.uint8), cv2.IMREAD_GRAYSCALE)
         size = size_of(path)
-        if mask is None:
-            problems[name] = ["the supplied mask is no picture"]
-        elif size is not None and mask.shape[::-1] != size:
+        try:
+            mask = read_mask(file)
+        except InputError as error:
+            problems[name] = [f"the supplied mask: {error.found}"]
+            continue
+        if size is not None and mask.shape[::-1] != size:
             problems[name] = [
                 f"the supplied mask has {mask.shape[1]} x {mask.shape[0]} pixels, "
                 f"the image {size[0]} x {size[1]}"
             ]
         else:
-            masks[name] = ((mask > 0) * np.uint8(255)).astype(np.uint8)
+            masks[name] = (mask * np.uint8(255)).astype(np.uint8)
     if not masks:
         reasons = sorted({problem for found in problems.values() for problem in found})
         raise InputError(

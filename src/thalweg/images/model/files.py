@@ -17,15 +17,13 @@ from PIL import Image
 from scipy.ndimage import laplace
 
 from thalweg.core import AnyArray, ArrayB, ArrayI, InputError
-from thalweg.ingest.photos import ImageHead, Images, named_images, read_head
+from thalweg.ingest.photos import ImageHead, Images, named_images, read_head, read_mask
 
 Grey = NDArray[np.uint8]
 LEAST_SHARE: Final = 0.005
 """Share of usable pixels below which an image counts as wholly masked."""
 CAUSES: Final = ("unreadable", "mask", "masked", "featureless", "double", "size")
 """Kinds of problems: the file, the mask's file, all masked, too few features, same bytes, other size."""
-_SHAPE: Final = 0.01
-"""Sides of a mask and of its image may differ by this share after scaling."""
 
 KINDS: Final = ("auto", "folder", "exif", "size")
 _CAMERAS_NAMED: Final = 4
@@ -160,7 +158,7 @@ def inspect(
     Parameters
     ----------
     name : of the image; None: that of its file.
-    path, mask_path : files; 0 in the mask is masked, anything else is usable.
+    path, mask_path : files, see `read_mask`.
     max_size_px : longest side of the grey picture that is handed on; larger images are scaled by averaging.
     view : the part of the file that is the image; None: all of it.
 
@@ -187,16 +185,9 @@ def inspect(
         return with_problem(known, problem, "size"), none, everything
     if mask_path is not None:
         try:
-            with Image.open(mask_path) as mask:
-                usable = np.asarray(mask.convert("L")) > 0
-        except (OSError, ValueError, SyntaxError) as error:
-            text = (str(error).splitlines() or [type(error).__name__])[0]
-            return with_problem(known, f"its mask cannot be read ({text})", "mask"), none, everything
-        ratio = (size_px[0] / usable.shape[1]) / (size_px[1] / usable.shape[0])
-        if abs(ratio - 1) > _SHAPE:
-            shape = f"{usable.shape[1]} x {usable.shape[0]}"
-            problem = f"its mask has {shape} pixels, the image {size_px[0]} x {size_px[1]}"
-            return with_problem(known, problem, "mask"), none, everything
+            usable = read_mask(mask_path, size_px)
+        except InputError as error:
+            return with_problem(known, error.found, "mask"), none, everything
     if view is not None:
         usable = view.usable & at_pixels(usable, *_centres(view.usable.shape), size_px)
     inside = at_pixels(usable, *_centres(grey.shape), (grey.shape[1], grey.shape[0]))

@@ -6,6 +6,7 @@ from .files import (
     list_images as list_images,
     named_images as named_images,
     natural_key as natural_key,
+    read_mask as read_mask,
 )
 from .stamps import IMAGE_STAMPS as IMAGE_STAMPS, read_image_stamps as read_image_stamps
 from .video import VideoFrames as VideoFrames, container_time as container_time, write_frames as write_frames

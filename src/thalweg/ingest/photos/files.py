@@ -1,4 +1,4 @@
-"""Photographs of folders and files: which files they are, and the names by which all tables call them.
+"""Photographs of folders and files: which files they are, the names by which all tables call them, masks.
 
 A folder is searched with the folders below it. The name of an image is its path below the folder that holds
 all that was given, with ``/``: ``IMG_1.jpg`` where one folder holds all images, ``left/IMG_1.jpg`` where
@@ -13,7 +13,10 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Final
 
-from thalweg.core import InputError
+import numpy as np
+from PIL import Image
+
+from thalweg.core import ArrayB, InputError
 
 IMAGE_ENDINGS: Final = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
 
@@ -27,6 +30,8 @@ _MASKS: Final = "mask"
 takes them.
 """
 _ENDINGS_NAMED: Final = 4
+_SHAPE: Final = 0.01
+"""Sides of a mask and of its image may differ by this share after scaling."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -189,6 +194,37 @@ def by_any_name(names: Sequence[str]) -> dict[str, str]:
         times = Counter(key(name) for name in names)
         out |= {key(name): name for name in names if times[key(name)] == 1 and key(name) not in out}
     return out
+
+
+def read_mask(path: Path, size_px: tuple[int, int] | None = None) -> ArrayB:
+    """Where an image may be used (h, w), of whatever scale: its mask is there neither black nor transparent.
+
+    Parameters
+    ----------
+    size_px : width and height of the image; None: of any shape.
+
+    Raises
+    ------
+    InputError : the mask cannot be read, or is of another shape than the image.
+    """
+    try:
+        with Image.open(path) as file:
+            usable = np.asarray(file.convert("L")) > 0
+            if file.has_transparency_data:
+                usable &= np.asarray(file.convert("RGBA"))[..., 3] > 0
+    except (OSError, ValueError, SyntaxError) as error:
+        text = (str(error).splitlines() or [type(error).__name__])[0]
+        raise InputError(
+            f"no mask: it cannot be read ({text})", expected="a whole PNG, 0 where not to be used", where=path
+        ) from error
+    height, width = usable.shape
+    if size_px is not None and abs((size_px[0] / width) / (size_px[1] / height) - 1) > _SHAPE:
+        raise InputError(
+            f"a mask of {width} x {height} pixels, the image has {size_px[0]} x {size_px[1]}",
+            expected="a mask with the sides of its image, stored as it is",
+            where=path,
+        )
+    return np.asarray(usable)
 
 
 def _of_folder(folder: Path) -> FoundImages:
