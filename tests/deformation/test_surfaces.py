@@ -170,7 +170,6 @@ def a_gis_tif(path: Path, bands: ArrayF, names: tuple[str, ...] = (), crs: int =
         (("ELEVATION_ERROR",), {}, 25833, "a band of 'ELEVATION_ERROR'"),
         (("sigma of height (m)",), {}, 25833, "a band of 'sigma of height"),
         ((), {"long_name": "slope of the ground"}, 25833, "a band of 'slope of the ground'"),
-        ((), {"scale_factor": "0.1", "add_offset": "0"}, 25833, r"tags scale_factor 0\.1 and add_offset 0"),
         ((), {}, 3857, r"has 1\.5\d m for a metre of ground.*zone of UTM \(EPSG:32633\)"),
         ((), {}, 31468, "expected coordinates in DHDN / 3-degree Gauss-Kruger zone 4"),
     ],
@@ -180,7 +179,6 @@ def test_bands_and_maps_of_something_else_are_refused(tmp_path, names, tags, crs
     with pytest.raises((InputError, UnsupportedError), match=found):
         read_dsm(path)
     assert len(read_dsm(a_gis_tif(path, relief(), ("dem slope-corrected",))).points_m()) == 600
-    assert len(read_dsm(a_gis_tif(path, relief(), scale_factor="1.0", add_offset="0.0")).points_m()) == 600
 
 
 def test_numbers_of_colours_are_no_heights_and_a_height_stands_beside_its_error(tmp_path):

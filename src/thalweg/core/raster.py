@@ -52,12 +52,12 @@ _NAMED_BANDS: Final = (("height_m", "sigma_m", "sigma_common_m"), ("height", "si
 _HEIGHT: Final = re.compile(
     r"\b(heights?|elevations?|altitudes?|z|dem|dsm|dtm|dgm|bathymetry)\b", re.IGNORECASE
 )
-_OTHER: Final = (
+_OTHER: Final = re.compile(
     r"(?i:\b(?:slope|aspect|hillshade|shade|std ?dev|stdev|std|sigma|uncertainty|error|count|density|"
     r"intensity|roughness|difference|dod)\b)"
 )
 """What GIS make of heights, by the names of bands."""
-_OF_HEIGHTS: Final = re.compile(rf"{_OTHER}(?: of\b| from\b| in\b|(?: \w\w?)? *$)")
+_OF_HEIGHTS: Final = re.compile(rf"{_OTHER.pattern}(?: of\b| from\b| in\b|(?: \w\w?)? *(?:;|$))")
 """The same beside a word for heights: elevation error, sigma of height (m), but not slope-corrected dem."""
 _DEPTH: Final = re.compile(r"(?i)(?<!bit )(?:^|_|\b)(?:depth|(?:wasser)?tiefe|profond|profundi|diepte)")
 _TAGS_OF_NAMES: Final = ("long_name", "standard_name", "netcdf_varname", "tifftag_imagedescription")
@@ -335,7 +335,7 @@ def _heights(file: Any, path: Path, nodata: float | None) -> Dsm:
     tags = {key.lower(): value for key, value in (file.tags() | file.tags(number)).items()}
     tagged = next((tags[key] for key in sorted(tags) if _UNIT_TAG.fullmatch(key)), None)
     up = _unit_of_band(file.units[number - 1] or tagged, names[number - 1], path)
-    words = [names[number - 1], *_names_in_tags(file, number)]
+    words = _names(file, number)
     if "down" in tags.get("positive", "").lower() or any(_DEPTH.search(w) for w in words):
         raise UnsupportedError(
             f"depths ({'; '.join(filter(None, words)) or 'positive down'})",
@@ -375,14 +375,6 @@ def _heights(file: Any, path: Path, nodata: float | None) -> Dsm:
         corners = corner + cell * np.array([[0.0, 0.0], [file.width, -file.height]])
         check_stated(corners * stated.factors[:2], stated.crs, where=path)
     scale, offset = float(file.scales[number - 1]), float(file.offsets[number - 1])
-    told = tags.get("scale_factor", "1"), tags.get("add_offset", "0")
-    if (scale, offset) == (1.0, 0.0) and not re.fullmatch(r"1\.?0* 0?\.?0*", " ".join(told)):
-        raise UnsupportedError(
-            f"tags scale_factor {told[0]} and add_offset {told[1]}, and a band without both",
-            expected="the scale and offset of the band, or no such tags",
-            where=path,
-            cure="Where they hold, state them of the band (gdal_edit -scale -offset), else take them out",
-        )
     metres = stated.factors[2]
     raw = file.read(number)
     values, notes = mask_missing(
@@ -455,29 +447,25 @@ def _placement(file: Any, path: Path) -> tuple[ArrayF, ArrayF, tuple[bool, bool]
 def _height_band(file: Any, names: list[str], path: Path) -> int:
     """Number of the band of heights: the only one, or the only one that is called so."""
     bands = [k for k, colour in enumerate(file.colorinterp, 1) if colour.name != "alpha"]
-    words = {
-        k: [names[k - 1], *_names_in_tags(file, k)[:-1]] for k in bands
-    }  # no description: it may be long
-    spoken = {k: [re.sub(r"[_\W]+", " ", word) for word in words[k]] for k in bands}
-    other = {
-        k: any((_OF_HEIGHTS if _HEIGHT.search(w) else re.compile(_OTHER)).search(w) for w in spoken[k])
-        for k in bands
-    }
-    called = [k for k in bands if _HEIGHT.search(spoken[k][0]) and not other[k]]
+    # a description may be long
+    titles = {k: "; ".join(filter(None, _names(file, k)[:-1])) for k in bands}
+    spoken = {k: re.sub(r"[^\w;]+|_", " ", title) for k, title in titles.items()}
+    heights = {k for k, words in spoken.items() if _HEIGHT.search(words)}
+    other = {k for k, words in spoken.items() if (_OF_HEIGHTS if k in heights else _OTHER).search(words)}
     coloured = any(colour.name == "palette" for colour in file.colorinterp)
-    if len(bands) == 1 and (other[bands[0]] or coloured):
-        told = "; ".join(filter(None, words[bands[0]]))
+    if len(bands) == 1 and (other or coloured):
         raise UnsupportedError(
-            "a band of numbers of colours" if coloured else f"a band of {told!r}",
+            "a band of numbers of colours" if coloured else f"a band of {titles[bands[0]]!r}",
             expected="one band of heights",
             where=path,
             cure="Export heights, or call the band height",
         )
+    called = sorted(heights - other)
     if len(bands) > 1:
         if len(called) != 1:
-            told = ", ".join(repr(name) for name in names if name) or "without names"
+            words = ", ".join(repr(name) for name in names if name) or "without names"
             raise UnsupportedError(
-                f"{len(bands)} bands ({told})",
+                f"{len(bands)} bands ({words})",
                 expected="one band of heights, or one that is called height or elevation",
                 where=path,
                 cure="Export heights alone",
@@ -486,9 +474,10 @@ def _height_band(file: Any, names: list[str], path: Path) -> int:
     return bands[0]
 
 
-def _names_in_tags(file: Any, number: int) -> list[str]:
+def _names(file: Any, number: int) -> list[str]:
+    """What a file calls a band, by its name and in tags; empty where it does not."""
     tags = {key.lower(): value for key, value in (file.tags() | file.tags(number)).items()}
-    return [tags.get(key, "") for key in _TAGS_OF_NAMES]
+    return [file.descriptions[number - 1] or "", *(tags.get(key, "") for key in _TAGS_OF_NAMES)]
 
 
 def _unit_of_band(unit: str | None, name: str, path: Path) -> Unit | None:

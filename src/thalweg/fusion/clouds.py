@@ -62,8 +62,6 @@ from thalweg.surface import (
 
 LEAST_CELLS: Final = 50
 """Cells of common ground that a fit needs."""
-LEAST_BLOCKS: Final = 9
-"""Blocks of ground that a covariance of six parameters needs; three more than parameters."""
 MOST_ITERATIONS: Final = 40
 SHORE_M: Final = 10.0
 """Farther from the water line ground may lie below it, behind a dyke."""

@@ -33,9 +33,6 @@ SLOW: Final = 6
 FAST: Final = 3
 """Errors of the antenna that are new in each epoch."""
 
-N_LOCAL: Final = 2 * SLOW + 2 * FAST
-"""Unknowns of a point: slow and fast errors at both ends of its interval."""
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PoseErrors:

@@ -34,7 +34,6 @@ ORDERS: Final[Mapping[str, str]] = {
     "phi_omega_kappa": "yxz",
     "kappa_phi_omega": "zyx",
 }
-DIRECTIONS: Final = ("image_to_world", "world_to_image")
 AXES: Final[Mapping[str, tuple[tuple[int, int, int], ...]]] = {
     "right_up_back": ((1, 0, 0), (0, -1, 0), (0, 0, -1)),
     "right_down_forward": ((1, 0, 0), (0, 1, 0), (0, 0, 1)),
