@@ -158,15 +158,13 @@ class Vectors:
             check_places(xy, crs, where=self.path, degrees=degrees, one_survey=False)
         if source.equals(crs, ignore_axis_order=True):
             return replace(self, crs=crs, notes=notes)
-        way, table, there = way_between(source, _plane(crs)), self.table, False
-        if way is not None:
-            shapes = shapely.transform(
-                table.geometry.to_numpy(),
-                lambda xyz: np.column_stack([*way.transform(*xyz.T[:2]), *xyz.T[2:]]),
-                include_z=True,
-            )
-            there = bool(np.isfinite(shapely.get_coordinates(shapes)).all())
-        if way is None or not there:
+        way = way_between(source, _plane(crs))
+        shapes = way and shapely.transform(
+            self.table.geometry.to_numpy(),
+            lambda xyz: np.column_stack([*way.transform(*xyz.T[:2]), *xyz.T[2:]]),
+            include_z=True,
+        )
+        if way is None or not np.isfinite(shapely.get_coordinates(shapes)).all():
             raise InputError(
                 f"places in {source.name} have none in {crs.name}",
                 where=self.path,
@@ -174,12 +172,12 @@ class Vectors:
                 cure="Look whether its numbers are in the system that it states, and degrees in the order "
                 "longitude, latitude; between datums transform it with the grid files of the land survey",
             )
-        table = table.set_geometry(shapes).set_crs(_plane(crs), allow_override=True)
         if source.is_projected or accuracy_in_words(way):
             notes += (
                 f"{self.path.name} states {source.name}: its places were transformed to "
                 f"{crs.name}{accuracy_in_words(way)}",
             )
+        table = self.table.set_geometry(shapes).set_crs(_plane(crs), allow_override=True)
         return replace(self, table=table, crs=crs, notes=notes)
 
     def lines(self) -> list[tuple[ArrayF, dict[str, Any]]]:
