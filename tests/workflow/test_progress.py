@@ -4,6 +4,7 @@ import importlib.util
 import json
 import logging
 import os
+import re
 import subprocess
 import sys
 from types import SimpleNamespace
@@ -30,7 +31,13 @@ def test_every_rule_has_words(progress, repository):
     words = progress.words_of_rules()
     text = "\n".join(path.read_text() for path in (repository / "workflow/rules").glob("*.smk"))
     assert len(words) > 80
-    assert {name for name in words if f"rule {name}:" not in text} == set()
+    tables = text + (repository / "workflow/figures.yaml").read_text()
+    rows = {name.removeprefix("plot_") for name in words if f"rule {name}:" not in text}
+    assert {name for name in rows if not re.search(rf'(?m)^ +"?{name}"?:', tables)} == set()
+    # they once were "plot rig field" and "accuracy page"
+    assert words["plot_rig_field"] == "The field of a rig in both of its lenses (P1 Fig. 2b)"
+    assert words["accuracy_page"].startswith("Everything that was found out about the accuracy")
+    assert words["compare_with_truth"].startswith("Error of each point")
     assert all(5 < len(line) < 200 and "\n" not in line for line in words.values())
 
 
@@ -44,6 +51,8 @@ def test_a_line_says_time_count_campaign_and_work(progress, capsys, monkeypatch)
     now[0] += 65.0
     handler.emit(record(logging.INFO, "", event="progress", done=3, total=12))
     handler.emit(record(logging.INFO, "", event="job_finished", job_id=4))
+    pdf = {"event": "job_info", "jobid": 5, "rule_name": "plot_survey_map_pdf"}
+    handler.emit(record(logging.INFO, "", **pdf, wildcards={"campaign": "tiny"}))
     handler.emit(record(logging.INFO, "Select jobs to execute..."))
     handler.emit(record(logging.INFO, "Nothing to be done (all is there)."))
     handler.emit(record(logging.ERROR, "Error in rule x"))
@@ -52,6 +61,7 @@ def test_a_line_says_time_count_campaign_and_work(progress, capsys, monkeypatch)
         f"  0:00   0 of 12  {words}",
         f"  1:05   3 of 12  {words}: done in 65 s",
         "  1:05   3 of 12  the first picture: results/a/view.png",
+        "  1:05   3 of 12  tiny: Plan view of the survey (P1 Fig. 3)",
         "Nothing to be done (all is there).",
         "Error in rule x",
     ]

@@ -20,6 +20,7 @@ from logging import WARNING, LogRecord
 from pathlib import Path
 from typing import Any
 
+import yaml
 from snakemake_interface_logger_plugins.base import LogHandlerBase
 from snakemake_interface_logger_plugins.common import LogEvent
 from snakemake_interface_logger_plugins.settings import LogHandlerSettingsBase
@@ -40,9 +41,12 @@ NOTHING = "Nothing to be done"
 
 
 def words_of_rules(folder: Path = RULES) -> dict[str, str]:
-    """First sentence of the docstring of each rule."""
+    """First sentence of the docstring of each rule, or of what its row of a table shows."""
     text = "\n".join(path.read_text(encoding="utf-8") for path in sorted(folder.glob("*.smk")))
     found = re.findall(r'(?m)^ *rule (\w+):\n\s+"""(.+?)(?:"""|\.\s+(?=[A-Z])|\n\n)', text, re.S)
+    found += re.findall(r'(?m)^    "(\w+)": \{\n\s+"shows": "(.+)",$', text)
+    pictures = yaml.safe_load(folder.with_name("figures.yaml").read_text(encoding="utf-8"))
+    found += [(f"plot_{name}", row["shows"]) for rows in pictures.values() for name, row in rows.items()]
     return {name: " ".join(words.split()).rstrip(".") for name, words in found}
 
 
@@ -129,7 +133,8 @@ class LogHandler(LogHandlerBase):
     def _begins(self, of: dict[str, Any]) -> None:
         """A job begins: what it does, for which campaign."""
         name = str(of["rule_name"])
-        words = self.words.get(name) or name.replace("_", " ")
+        # A picture in another format has the format at the end of its name.
+        words = self.words.get(name) or self.words.get(name.rpartition("_")[0]) or name.replace("_", " ")
         wildcards = dict(of.get("wildcards") or {})
         where = wildcards.pop("campaign", "")
         which = f" ({', '.join(map(str, wildcards.values()))})" if wildcards else ""
