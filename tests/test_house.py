@@ -627,18 +627,16 @@ FIELDS = (
     "input",
     "output",
     "log",
-    "benchmark",
     "wildcard_constraints",
     "priority",
-    "conda",
     "threads",
     "resources",
     "params",
     "script",
 )
 """As snakefmt leaves them; the docstring stands before."""
-OPTIONAL = {"input", "wildcard_constraints", "priority"}
-"""Rules of the twin may begin from nothing; few are urgent or have wildcards of their own."""
+OPTIONAL = {"input", "log", "wildcard_constraints", "priority", "threads", "params"}
+"""Rules of the twin may begin from nothing; few are urgent, or have wildcards or a log of their own."""
 
 
 def rule_fields(repository: Path) -> dict[str, list[str]]:

@@ -89,7 +89,8 @@ def test_a_row_gives_its_rule_what_it_needs(read):
     by_name = {row.name: row for row in read(GOOD).rows}
     row = by_name["map"]
     assert (row.rule, row.path) == ("plot_map", "results/{campaign}/figures/map.png")
-    assert row.protocol("logs", "log") == "logs/{campaign}/figures/plot_map.log"
+    assert row.log() == "logs/{campaign}/figures/plot_map.log"
+    assert row.log("pdf") == "logs/{campaign}/figures/plot_map.pdf.log"
     inputs = row.input_files({"boat": REFERENCED})
     of_boat = SimpleNamespace(campaign="boat", scan="hull")
     assert inputs["points"] == "results/{campaign}/lidar/points.laz"
@@ -107,12 +108,12 @@ def test_a_row_gives_its_rule_what_it_needs(read):
     assert row.caption == "Words below."
     scan = by_name["scan_setup"]
     assert scan.path == "results/{campaign}/figures/setup_of_{scan}.png"
-    assert scan.protocol("logs", "log") == "logs/{campaign}/figures/plot_scan_setup_{scan}.log"
+    assert scan.log() == "logs/{campaign}/figures/plot_scan_setup_{scan}.log"
     assert scan.input_files({"boat": BASIN})["mesh"](of_boat) == ["h.ply"]
     assert scan.params({"boat": BASIN})["scan"](of_boat) == "hull"
     study = by_name["tables"]
     assert study.path == "results/reproduction/figures/tables.png"
-    assert study.protocol("logs", "log") == "logs/reproduction/plot_tables.log"
+    assert study.log() == "logs/reproduction/plot_tables.log"
     first, second = study.input_files({})["parts"]
     assert first == "results/reproduction/one.csv"
     # what is shipped stands in the repository, wherever the results are

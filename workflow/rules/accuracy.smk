@@ -15,16 +15,10 @@ rule compare_with_reference:
         registration="results/{campaign}/accuracy/{by}registration.json",
     log:
         "logs/{campaign}/accuracy/{by}compare_with_reference.log",
-    benchmark:
-        "benchmarks/{campaign}/accuracy/{by}compare_with_reference.jsonl"
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(2500, 20),
         runtime=minutes(15, 30),
     params:
-        code=code_version("compare_with_reference"),
         campaign=identity("crs", "seed"),
         accuracy=of(CampaignFiles.comparison),
         reference=lambda wildcards: {
@@ -48,18 +42,9 @@ rule summarise:
         truth=of(CampaignFiles.truth_statistics),
     output:
         summary="results/{campaign}/summary.csv",
-    log:
-        "logs/{campaign}/accuracy/summarise.log",
-    benchmark:
-        "benchmarks/{campaign}/accuracy/summarise.jsonl"
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(1500),
         runtime=minutes(10),
-    params:
-        code=code_version("summarise"),
     script:
         "../scripts/summarise.py"
 
@@ -80,18 +65,9 @@ rule compare_chains:
         chains="results/{campaign}/accuracy/chains.csv",
         chains_by_range_csv="results/{campaign}/accuracy/chains_by_range.csv",
         facts="results/{campaign}/accuracy/chains.json",
-    log:
-        "logs/{campaign}/accuracy/compare_chains.log",
-    benchmark:
-        "benchmarks/{campaign}/accuracy/compare_chains.jsonl"
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(2000, 15),
         runtime=minutes(10),
-    params:
-        code=code_version("compare_chains"),
     script:
         "../scripts/compare_chains.py"
 
@@ -111,18 +87,10 @@ rule compare_riverbed_with_truth:
         riverbed="results/{campaign}/accuracy/truth_riverbed.csv",
         errors="results/{campaign}/accuracy/truth_soundings.csv",
         reasons="results/{campaign}/accuracy/truth_sounding_reasons.csv",
-    log:
-        "logs/{campaign}/accuracy/compare_riverbed_with_truth.log",
-    benchmark:
-        "benchmarks/{campaign}/accuracy/compare_riverbed_with_truth.jsonl"
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(2500, 10),
         runtime=minutes(10, 30),
     params:
-        code=code_version("compare_riverbed_with_truth"),
         campaign=identity("origin"),
     script:
         "../scripts/compare_riverbed_with_truth.py"

@@ -118,13 +118,6 @@ for name, entry in TRUTH.items():
             **entry["inputs"],
         output:
             **entry["outputs"],
-        log:
-            f"logs/{{campaign}}/accuracy/{name}.log",
-        benchmark:
-            f"benchmarks/{{campaign}}/accuracy/{name}.jsonl"
-        conda:
-            "../../envs/thalweg.yaml"
-        threads: 1
         resources:
             mem_mb=memory(entry.get("memory_mb", 2000)),
             runtime=minutes(10),

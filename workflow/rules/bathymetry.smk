@@ -16,18 +16,10 @@ rule locate_soundings:
         soundings="results/{campaign}/bathymetry/soundings.parquet",
         text="results/{campaign}/bathymetry/soundings.csv",
         facts="results/{campaign}/bathymetry/soundings.json",
-    log:
-        "logs/{campaign}/bathymetry/locate_soundings.log",
-    benchmark:
-        "benchmarks/{campaign}/bathymetry/locate_soundings.jsonl"
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(2000, 20),
         runtime=minutes(10, 30),
     params:
-        code=code_version("locate_soundings"),
         campaign=identity("origin", "crs"),
         echo_sounder=section("echo_sounder"),
         bathymetry=section("bathymetry"),
@@ -49,18 +41,10 @@ rule trace_river:
         traced="results/{campaign}/bathymetry/banks.csv",
         line="results/{campaign}/bathymetry/centre_line.csv",
         level="results/{campaign}/bathymetry/water_level.json",
-    log:
-        "logs/{campaign}/bathymetry/trace_river.log",
-    benchmark:
-        "benchmarks/{campaign}/bathymetry/trace_river.jsonl"
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(2500, 10),
         runtime=minutes(10, 30),
     params:
-        code=code_version("trace_river"),
         campaign=identity("origin", "crs"),
         bathymetry=section("bathymetry"),
         water_line_ics_m=section("filters", "water_line_ics_m"),
@@ -82,18 +66,11 @@ rule krige_bed:
         bed="results/{campaign}/bathymetry/bed.tif",
         variogram="results/{campaign}/bathymetry/variogram.json",
         used="results/{campaign}/bathymetry/observations.parquet",
-    log:
-        "logs/{campaign}/bathymetry/krige_bed.log",
-    benchmark:
-        "benchmarks/{campaign}/bathymetry/krige_bed.jsonl"
-    conda:
-        "../../envs/thalweg.yaml"
     threads: 2
     resources:
         mem_mb=memory(2000, 20),
         runtime=minutes(30, 60),
     params:
-        code=code_version("krige_bed"),
         campaign=identity("id", "origin", "crs", "seed"),
         echo_sounder=section("echo_sounder"),
         bathymetry=section("bathymetry"),
@@ -116,18 +93,10 @@ rule validate_bed:
         validation="results/{campaign}/bathymetry/validation.json",
         predicted="results/{campaign}/bathymetry/predicted.parquet",
         methods="results/{campaign}/bathymetry/methods.csv",
-    log:
-        "logs/{campaign}/bathymetry/validate_bed.log",
-    benchmark:
-        "benchmarks/{campaign}/bathymetry/validate_bed.jsonl"
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(2000, 20),
         runtime=minutes(30, 60),
     params:
-        code=code_version("validate_bed"),
         campaign=identity("crs"),
         bathymetry=section("bathymetry"),
     script:

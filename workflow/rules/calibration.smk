@@ -7,19 +7,11 @@ rule collect_mounts:
         calibration=of(CampaignFiles.calibration_file),
     output:
         mounts="results/{campaign}/calibration/mounts.json",
-    log:
-        "logs/{campaign}/calibration/collect_mounts.log",
-    benchmark:
-        "benchmarks/{campaign}/calibration/collect_mounts.jsonl"
     priority: URGENT
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(1000),
         runtime=minutes(10),
     params:
-        code=code_version("collect_mounts"),
         section=section("mounts"),
         rig=of(CampaignFiles.rig_mount),
     script:
@@ -37,20 +29,15 @@ rule detect_markers:
         rejected="results/{campaign}/{room}/{marked}_marks_rejected.csv",
     log:
         "logs/{campaign}/{room}/detect_{marked}_marks.log",
-    benchmark:
-        "benchmarks/{campaign}/{room}/detect_{marked}_marks.jsonl"
     wildcard_constraints:
         room="calibration|triangulation",
         marked="reference|boat|camera_field",
     priority: URGENT
-    conda:
-        "../../envs/thalweg.yaml"
     threads: 2
     resources:
         mem_mb=memory(2000),
         runtime=minutes(60),
     params:
-        code=code_version("detect_markers"),
         camera=lambda wildcards: wildcards.marked.replace(
             "camera_field", "sheet_camera"
         ),
@@ -69,19 +56,11 @@ rule adjust_field:
         facts="results/{campaign}/calibration/field.json",
         residuals="results/{campaign}/calibration/field_residuals.csv",
         camera="results/{campaign}/calibration/reference_camera.yaml",
-    log:
-        "logs/{campaign}/calibration/adjust_field.log",
-    benchmark:
-        "benchmarks/{campaign}/calibration/adjust_field.jsonl"
     priority: URGENT
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(2000),
         runtime=minutes(20),
     params:
-        code=code_version("adjust_field"),
         campaign=identity("id", "origin"),
         model=section("calibration", "reference_camera", "model"),
         focal_px=section("calibration", "reference_camera", "focal_px"),
@@ -104,19 +83,11 @@ rule orient_camera:
         camera="results/{campaign}/calibration/camera.yaml",
         residuals="results/{campaign}/calibration/camera_residuals.csv",
         report="results/{campaign}/calibration/camera.json",
-    log:
-        "logs/{campaign}/calibration/orient_camera.log",
-    benchmark:
-        "benchmarks/{campaign}/calibration/orient_camera.jsonl"
     priority: URGENT
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(2000),
         runtime=minutes(20),
     params:
-        code=code_version("orient_camera"),
         campaign=identity("id"),
         model=section("calibration", "boat_camera", "model"),
         focal_px=section("calibration", "boat_camera", "focal_px"),
@@ -143,19 +114,11 @@ rule calibrate_camera_lidar:
         poses="results/{campaign}/calibration/poses.csv",
         cone_points="results/{campaign}/calibration/cone_points.parquet",
         study="results/{campaign}/calibration/design_study.csv",
-    log:
-        "logs/{campaign}/calibration/calibrate_camera_lidar.log",
-    benchmark:
-        "benchmarks/{campaign}/calibration/calibrate_camera_lidar.jsonl"
     priority: URGENT
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(2000),
         runtime=minutes(20),
     params:
-        code=code_version("calibrate_camera_lidar"),
         campaign=identity("id"),
         mounts=of(CampaignFiles.mounts, "lidar", "camera"),
         lidar_options=of(CampaignFiles.lidar_options),
@@ -185,19 +148,11 @@ rule calibrate_ins_lidar:
         passes="results/{campaign}/calibration/passes.csv",
         before="results/{campaign}/calibration/cones_before.parquet",
         after="results/{campaign}/calibration/cones_after.parquet",
-    log:
-        "logs/{campaign}/calibration/calibrate_ins_lidar.log",
-    benchmark:
-        "benchmarks/{campaign}/calibration/calibrate_ins_lidar.jsonl"
     priority: URGENT
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(3000),
         runtime=minutes(20),
     params:
-        code=code_version("calibrate_ins_lidar"),
         campaign=identity("id"),
         lidar_options=of(CampaignFiles.lidar_options),
         settings=of(CampaignFiles.ins_lidar_settings),
@@ -217,19 +172,11 @@ rule calibrate_echo_sounder:
     output:
         echo_sounder="results/{campaign}/calibration/echo_sounder.yaml",
         report="results/{campaign}/calibration/echo_sounder.json",
-    log:
-        "logs/{campaign}/calibration/calibrate_echo_sounder.log",
-    benchmark:
-        "benchmarks/{campaign}/calibration/calibrate_echo_sounder.jsonl"
     priority: URGENT
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(1500),
         runtime=minutes(10),
     params:
-        code=code_version("calibrate_echo_sounder"),
         campaign=identity("id", "origin", "crs"),
         settings=of(CampaignFiles.echo_settings),
         stated=section("echo_sounder"),
@@ -245,19 +192,11 @@ rule assemble_boat:
         camera_lidar=of(CampaignFiles.of_static_camera, "camera_lidar.yaml"),
     output:
         boat="results/{campaign}/calibration/boat.yaml",
-    log:
-        "logs/{campaign}/calibration/assemble_boat.log",
-    benchmark:
-        "benchmarks/{campaign}/calibration/assemble_boat.jsonl"
     priority: URGENT
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(2000),
         runtime=minutes(20),
     params:
-        code=code_version("assemble_boat"),
         campaign=identity("id"),
         echo_sounder=of(CampaignFiles.echo_place),
         twin=of(CampaignFiles.is_twin),
@@ -274,19 +213,12 @@ rule calibrate_board:
     output:
         camera_lidar="results/{campaign}/calibration/board_camera_lidar.yaml",
         table="results/{campaign}/calibration/board_poses.csv",
-    log:
-        "logs/{campaign}/calibration/calibrate_board.log",
-    benchmark:
-        "benchmarks/{campaign}/calibration/calibrate_board.jsonl"
     priority: URGENT
-    conda:
-        "../../envs/thalweg.yaml"
     threads: 2
     resources:
         mem_mb=memory(2000),
         runtime=minutes(20),
     params:
-        code=code_version("calibrate_board"),
         campaign=identity("id"),
         mounts=of(CampaignFiles.mounts, "lidar", "camera"),
         lidar_options=of(CampaignFiles.lidar_options),

@@ -1,9 +1,11 @@
 """What all rules share: the validated campaigns, and thin adapters from wildcards to `thalweg.workflow`."""
 
 import logging
+import re
 from itertools import product
 
 from snakemake.exceptions import WorkflowError
+from snakemake.io import strip_wildcard_constraints
 from snakemake.logging import DefaultFilter, get_event, logger as snakemake_logger
 from snakemake_interface_logger_plugins.common import LogEvent
 
@@ -152,6 +154,26 @@ def identity(*keys):
 def calls(function, script="call"):
     """Params where the script is call.py or page.py: ``module:function`` that does the work, and its version."""
     return {"code": code_version(script, function), "call": function}
+
+
+def complete(each):
+    """What all rules have alike, but where one says otherwise: environment, log, benchmark, version of its code."""
+    first = strip_wildcard_constraints(each.output[0])
+    owner = first.split("/")[1]
+    # where a module of another workflow puts its results
+    each.log_modifier = each.benchmark_modifier = each.output_modifier
+    if not each.log:
+        room = Path(each.snakefile).stem.split("_")[0]
+        folder = f"{owner}/{room}" if owner == "{campaign}" else owner
+        which = re.findall(r"{\w+}", first.removeprefix("results/{campaign}"))
+        name = "_".join([each.name, *which])
+        each.set_log(f"logs/{folder}/{name}.log")
+    each.benchmark = (
+        f"benchmarks{each.log[0].removeprefix('logs').removesuffix('log')}jsonl"
+    )
+    each.conda_env = "../../envs/thalweg.yaml"
+    if "code" not in each.params.keys():
+        each.set_params(code=code_version(Path(each.script).stem))
 
 
 def raw(stream):

@@ -16,20 +16,12 @@ rule prepare_epoch:
     output:
         prepared="results/{campaign}/deformation/epochs/{epoch}/points.npz",
         errors="results/{campaign}/deformation/epochs/{epoch}/errors.json",
-    log:
-        "logs/{campaign}/deformation/prepare_epoch_{epoch}.log",
-    benchmark:
-        "benchmarks/{campaign}/deformation/prepare_epoch_{epoch}.jsonl"
     wildcard_constraints:
         epoch=pattern_of_epochs(FILES.values(), with_trajectory=True),
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(3000, 10),
         runtime=minutes(10, 60),
     params:
-        code=code_version("prepare_epoch"),
         campaign=identity("origin", "crs"),
         deformation=section("deformation"),
         name=lambda wildcards: wildcards.epoch,
@@ -53,20 +45,12 @@ rule prepare_foreign_epoch:
     output:
         prepared="results/{campaign}/deformation/epochs/{epoch}/points.npz",
         errors="results/{campaign}/deformation/epochs/{epoch}/errors.json",
-    log:
-        "logs/{campaign}/deformation/prepare_foreign_epoch_{epoch}.log",
-    benchmark:
-        "benchmarks/{campaign}/deformation/prepare_foreign_epoch_{epoch}.jsonl"
     wildcard_constraints:
         epoch=pattern_of_epochs(FILES.values(), with_trajectory=False),
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(3000, 10),
         runtime=minutes(10, 60),
     params:
-        code=code_version("prepare_foreign_epoch"),
         campaign=identity("origin", "crs"),
         deformation=section("deformation"),
         name=lambda wildcards: wildcards.epoch,
@@ -81,18 +65,11 @@ rule place_core_points:
         epochs=of(CampaignFiles.all_epochs, "points.npz"),
     output:
         core_points="results/{campaign}/deformation/core_points.parquet",
-    log:
-        "logs/{campaign}/deformation/place_core_points.log",
-    benchmark:
-        "benchmarks/{campaign}/deformation/place_core_points.jsonl"
-    conda:
-        "../../envs/thalweg.yaml"
     threads: 2
     resources:
         mem_mb=memory(2600, 10),
         runtime=minutes(10, 60),
     params:
-        code=code_version("place_core_points"),
         campaign=identity("origin", "crs"),
         deformation=section("deformation"),
     script:
@@ -108,18 +85,11 @@ rule coregister_epochs:
     output:
         registration="results/{campaign}/deformation/registration_{pair}.json",
         weights="results/{campaign}/deformation/registration_{pair}.npz",
-    log:
-        "logs/{campaign}/deformation/coregister_epochs_{pair}.log",
-    benchmark:
-        "benchmarks/{campaign}/deformation/coregister_epochs_{pair}.jsonl"
-    conda:
-        "../../envs/thalweg.yaml"
     threads: 2
     resources:
         mem_mb=memory(3200, 10),
         runtime=minutes(10, 60),
     params:
-        code=code_version("coregister_epochs"),
         campaign=identity("origin", "crs"),
         deformation=section("deformation"),
     script:
@@ -143,18 +113,11 @@ rule compare_epochs:
         along="results/{campaign}/deformation/volumes_along_{pair}.csv",
         retreat="results/{campaign}/deformation/retreat_{pair}.csv",
         facts="results/{campaign}/deformation/changes_{pair}.json",
-    log:
-        "logs/{campaign}/deformation/compare_epochs_{pair}.log",
-    benchmark:
-        "benchmarks/{campaign}/deformation/compare_epochs_{pair}.jsonl"
-    conda:
-        "../../envs/thalweg.yaml"
     threads: 2
     resources:
         mem_mb=memory(3200, 10),
         runtime=minutes(20, 60),
     params:
-        code=code_version("compare_epochs"),
         campaign=identity("origin", "seed"),
         deformation=section("deformation"),
     script:
@@ -172,18 +135,10 @@ rule difference_of_surfaces:
     output:
         difference="results/{campaign}/deformation/dod_{pair}.tif",
         volumes="results/{campaign}/deformation/dod_{pair}.csv",
-    log:
-        "logs/{campaign}/deformation/difference_of_surfaces_{pair}.log",
-    benchmark:
-        "benchmarks/{campaign}/deformation/difference_of_surfaces_{pair}.jsonl"
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(3200, 10),
         runtime=minutes(20, 60),
     params:
-        code=code_version("difference_of_surfaces"),
         campaign=identity("origin", "crs"),
         deformation=section("deformation"),
         models=of_wildcard("pair", CampaignFiles.surface_statements),
@@ -202,18 +157,11 @@ rule change_series:
         heights="results/{campaign}/deformation/heights.parquet",
         jumps="results/{campaign}/deformation/jumps.json",
         retreat="results/{campaign}/deformation/retreat_rates.csv",
-    log:
-        "logs/{campaign}/deformation/change_series.log",
-    benchmark:
-        "benchmarks/{campaign}/deformation/change_series.jsonl"
-    conda:
-        "../../envs/thalweg.yaml"
     threads: 2
     resources:
         mem_mb=memory(4000, 10),
         runtime=minutes(20, 60),
     params:
-        code=code_version("change_series"),
         campaign=identity("origin", "crs"),
         deformation=section("deformation"),
     script:
@@ -231,10 +179,6 @@ rule simulate_change:
         polygons="results/{campaign}/simulation/truth/change_{pair}.csv",
     log:
         "logs/{campaign}/simulation/simulate_change_{pair}.log",
-    benchmark:
-        "benchmarks/{campaign}/simulation/simulate_change_{pair}.jsonl"
-    conda:
-        "../../envs/thalweg.yaml"
     threads: 2
     resources:
         mem_mb=memory(3000),
@@ -266,18 +210,10 @@ rule compare_change_with_truth:
         measures="results/{campaign}/deformation/truth_{pair}.csv",
         cores="results/{campaign}/deformation/truth_{pair}.parquet",
         by_polygon="results/{campaign}/deformation/truth_polygons_{pair}.csv",
-    log:
-        "logs/{campaign}/deformation/compare_change_with_truth_{pair}.log",
-    benchmark:
-        "benchmarks/{campaign}/deformation/compare_change_with_truth_{pair}.jsonl"
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(3000),
         runtime=minutes(20),
     params:
-        code=code_version("compare_change_with_truth"),
         campaign=identity("origin"),
         deformation=section("deformation"),
     script:

@@ -16,12 +16,7 @@ for row, suffix in product(FIGURES.drawn(), ["png", *sorted(VECTORS)]):
                 else as_format(row.path, suffix)
             ),
         log:
-            row.protocol("logs", f"{suffix}.log".removeprefix("png.")),
-        benchmark:
-            row.protocol("benchmarks", f"{suffix}.jsonl".removeprefix("png."))
-        conda:
-            "../../envs/thalweg.yaml"
-        threads: 1
+            row.log(suffix),
         resources:
             mem_mb=memory(*row.memory_mb),
             runtime=minutes(10, 30),

@@ -198,13 +198,6 @@ for name, entry in PAGES.items():
             **entry["inputs"],
         output:
             page=entry["page"],
-        log:
-            f"logs/{{campaign}}/figures/{name}.log",
-        benchmark:
-            f"benchmarks/{{campaign}}/figures/{name}.jsonl"
-        conda:
-            "../../envs/thalweg.yaml"
-        threads: 1
         resources:
             mem_mb=memory(1500),
             runtime=minutes(10),
@@ -226,13 +219,6 @@ rule survey_report:
         pictures=lambda wildcards: FIGURES.files(FILES[wildcards.campaign]),
     output:
         report=f"{RESULTS}/report.pdf",
-    log:
-        "logs/{campaign}/figures/survey_report.log",
-    benchmark:
-        "benchmarks/{campaign}/figures/survey_report.jsonl"
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(1500),
         runtime=minutes(10),

@@ -17,18 +17,10 @@ rule build_dtm:
         cloud="results/{campaign}/fusion/model.laz",
         facts="results/{campaign}/fusion/dtm.json",
         fit="results/{campaign}/fusion/fit.json",
-    log:
-        "logs/{campaign}/fusion/build_dtm.log",
-    benchmark:
-        "benchmarks/{campaign}/fusion/build_dtm.jsonl"
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(3000, 15),
         runtime=minutes(20, 60),
     params:
-        code=code_version("build_dtm"),
         campaign=identity("origin", "crs"),
         fusion=section("fusion"),
     script:
@@ -48,18 +40,10 @@ rule measure_river:
         volumes="results/{campaign}/fusion/hypsometry.csv",
         facts="results/{campaign}/fusion/river.json",
         exports=directory("results/{campaign}/fusion/exports"),
-    log:
-        "logs/{campaign}/fusion/measure_river.log",
-    benchmark:
-        "benchmarks/{campaign}/fusion/measure_river.jsonl"
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(2000, 20),
         runtime=minutes(10, 30),
     params:
-        code=code_version("measure_river"),
         campaign=identity("origin", "crs"),
         fusion=section("fusion"),
     script:
@@ -78,13 +62,6 @@ rule export_layers:
         patches=of(CampaignFiles.patches),
     output:
         out="results/{campaign}/survey.gpkg",
-    log:
-        "logs/{campaign}/fusion/export_layers.log",
-    benchmark:
-        "benchmarks/{campaign}/fusion/export_layers.jsonl"
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(2000, 15),
         runtime=minutes(10, 30),
@@ -104,13 +81,6 @@ rule gis_project:
         clouds=of(CampaignFiles.map_clouds),
     output:
         out="results/{campaign}/survey.qgz",
-    log:
-        "logs/{campaign}/fusion/gis_project.log",
-    benchmark:
-        "benchmarks/{campaign}/fusion/gis_project.jsonl"
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(1500),
         runtime=minutes(10),

@@ -10,18 +10,10 @@ rule scan_lidar:
     output:
         clock="results/{campaign}/ingest/lidar.clock.json",
         integrity="results/{campaign}/ingest/lidar.integrity.json",
-    log:
-        "logs/{campaign}/ingest/scan_lidar.log",
-    benchmark:
-        "benchmarks/{campaign}/ingest/scan_lidar.jsonl"
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(1500),
         runtime=minutes(10, 20),
     params:
-        code=code_version("scan_lidar"),
         stated=section("lidar", "clock"),
         lidar_options=of(CampaignFiles.lidar_options),
         filters=section("filters"),
@@ -38,18 +30,10 @@ rule read_ins:
         states="results/{campaign}/ingest/ins_states.parquet",
         depths="results/{campaign}/ingest/ins_depths.parquet",
         integrity="results/{campaign}/ingest/ins.integrity.json",
-    log:
-        "logs/{campaign}/ingest/read_ins.log",
-    benchmark:
-        "benchmarks/{campaign}/ingest/read_ins.jsonl"
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(1500, 20),
         runtime=minutes(10),
     params:
-        code=code_version("read_ins"),
         source=of(CampaignFiles.position_source),
         campaign=identity("origin"),
         options=of(CampaignFiles.track_options),
@@ -64,18 +48,9 @@ rule read_gnss:
     output:
         positions="results/{campaign}/ingest/gnss_positions.parquet",
         integrity="results/{campaign}/ingest/gnss.integrity.json",
-    log:
-        "logs/{campaign}/ingest/read_gnss.log",
-    benchmark:
-        "benchmarks/{campaign}/ingest/read_gnss.jsonl"
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(1500, 20),
         runtime=minutes(10),
-    params:
-        code=code_version("read_gnss"),
     script:
         "../scripts/read_gnss.py"
 
@@ -90,18 +65,10 @@ rule read_positions:
     output:
         positions="results/{campaign}/ingest/positions.parquet",
         integrity="results/{campaign}/ingest/positions.integrity.json",
-    log:
-        "logs/{campaign}/ingest/read_positions.log",
-    benchmark:
-        "benchmarks/{campaign}/ingest/read_positions.jsonl"
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(2000, 20),
         runtime=minutes(20, 60),
     params:
-        code=code_version("read_positions"),
         source=of(CampaignFiles.position_source),
         date=of(CampaignFiles.log_option, "depth_date"),
         topics=of(CampaignFiles.topics, "pos"),
@@ -118,13 +85,6 @@ rule export_track:
     output:
         out_geojson="results/{campaign}/orientation/track.geojson",
         out_kml="results/{campaign}/orientation/track.kml",
-    log:
-        "logs/{campaign}/ingest/export_track.log",
-    benchmark:
-        "benchmarks/{campaign}/ingest/export_track.jsonl"
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(1500),
         runtime=minutes(10),
@@ -142,18 +102,10 @@ rule read_depth:
     output:
         depths="results/{campaign}/ingest/depths.parquet",
         integrity="results/{campaign}/ingest/depth.integrity.json",
-    log:
-        "logs/{campaign}/ingest/read_depth.log",
-    benchmark:
-        "benchmarks/{campaign}/ingest/read_depth.jsonl"
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(1500),
         runtime=minutes(10),
     params:
-        code=code_version("read_depth"),
         date=of(CampaignFiles.log_option, "depth_date"),
         topics=of(CampaignFiles.topics, "depth"),
     script:
@@ -167,18 +119,10 @@ rule read_reference:
     output:
         cloud="results/{campaign}/ingest/reference.laz",
         integrity="results/{campaign}/ingest/reference.integrity.json",
-    log:
-        "logs/{campaign}/ingest/read_reference.log",
-    benchmark:
-        "benchmarks/{campaign}/ingest/read_reference.jsonl"
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(2000, 30),
         runtime=minutes(10, 60),
     params:
-        code=code_version("read_reference"),
         campaign=identity("origin", "crs"),
     script:
         "../scripts/read_reference.py"
@@ -192,18 +136,10 @@ rule read_image_stamps:
     output:
         stamps="results/{campaign}/ingest/image_stamps.parquet",
         integrity="results/{campaign}/ingest/camera.integrity.json",
-    log:
-        "logs/{campaign}/ingest/read_image_stamps.log",
-    benchmark:
-        "benchmarks/{campaign}/ingest/read_image_stamps.jsonl"
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(2000),
         runtime=minutes(20),
     params:
-        code=code_version("read_image_stamps"),
         folders=of(CampaignFiles.has_time_lapse),
         source=of(CampaignFiles.stamp_option, "source"),
         pattern=of(CampaignFiles.stamp_option, "pattern"),

@@ -12,19 +12,11 @@ rule estimate_pose_errors:
     output:
         trajectory="results/{campaign}/orientation/trajectory.parquet",
         error_model="results/{campaign}/orientation/error_model.json",
-    log:
-        "logs/{campaign}/lidar/estimate_pose_errors.log",
-    benchmark:
-        "benchmarks/{campaign}/lidar/estimate_pose_errors.jsonl"
     priority: URGENT
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(2500),
         runtime=minutes(10, 20),
     params:
-        code=code_version("estimate_pose_errors"),
         lidar_options=of(CampaignFiles.lidar_options),
         lidar_accuracy=section("lidar_accuracy"),
         georeferencing=of(CampaignFiles.georeferencing),
@@ -56,18 +48,11 @@ rule adjust_strips:
         observations="results/{campaign}/orientation/strips_observations.csv",
         facts="results/{campaign}/orientation/strips.json",
         page="results/{campaign}/orientation/strips.html",
-    log:
-        "logs/{campaign}/lidar/adjust_strips.log",
-    benchmark:
-        "benchmarks/{campaign}/lidar/adjust_strips.jsonl"
-    conda:
-        "../../envs/thalweg.yaml"
     threads: 2
     resources:
         mem_mb=memory(3000),
         runtime=minutes(20, 30),
     params:
-        code=code_version("adjust_strips"),
         lidar_options=of(CampaignFiles.lidar_options),
         lidar_accuracy=section("lidar_accuracy"),
         georeferencing=of(CampaignFiles.georeferencing),
@@ -97,16 +82,11 @@ rule georeference_lidar:
         counts="results/{campaign}/lidar/{by}counts.csv",
     log:
         "logs/{campaign}/lidar/{by}georeference_lidar.log",
-    benchmark:
-        "benchmarks/{campaign}/lidar/{by}georeference_lidar.jsonl"
-    conda:
-        "../../envs/thalweg.yaml"
     threads: 2
     resources:
         mem_mb=memory(3000),
         runtime=minutes(10, 20),
     params:
-        code=code_version("georeference_lidar"),
         lidar_options=of(CampaignFiles.lidar_options),
         lidar_accuracy=section("lidar_accuracy"),
         georeferencing=of(CampaignFiles.georeferencing),
@@ -121,13 +101,6 @@ rule export_map:
         points=of(CampaignFiles.best_cloud),
     output:
         out="results/{campaign}/lidar/points_map.laz",
-    log:
-        "logs/{campaign}/lidar/export_map.log",
-    benchmark:
-        "benchmarks/{campaign}/lidar/export_map.jsonl"
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(2000),
         runtime=minutes(10, 60),
@@ -144,12 +117,6 @@ rule export_copc:
         points="results/{campaign}/lidar/points_map.laz",
     output:
         out="results/{campaign}/lidar/points_map.copc.laz",
-    log:
-        "logs/{campaign}/lidar/export_copc.log",
-    benchmark:
-        "benchmarks/{campaign}/lidar/export_copc.jsonl"
-    conda:
-        "../../envs/thalweg.yaml"
     threads: 2
     resources:
         mem_mb=memory(1000),
@@ -174,20 +141,13 @@ rule georeference_window:
             temp("results/{campaign}/lidar/windows/{chain}_points_{part}.las"),
             temp("results/{campaign}/lidar/windows/{chain}_rest_{part}.npz"),
         ],
-    log:
-        "logs/{campaign}/lidar/georeference_window_{chain}_{part}.log",
-    benchmark:
-        "benchmarks/{campaign}/lidar/georeference_window_{chain}_{part}.jsonl"
     wildcard_constraints:
         chain="ins|camera|fused|strips",
-    conda:
-        "../../envs/thalweg.yaml"
     threads: 2
     resources:
         mem_mb=memory(3000),
         runtime=minutes(10, 20),
     params:
-        code=code_version("georeference_window"),
         lidar_options=of(CampaignFiles.lidar_options),
         lidar_accuracy=section("lidar_accuracy"),
         georeferencing=of(CampaignFiles.georeferencing),
@@ -208,8 +168,6 @@ use rule georeference_window as count_neighbours with:
         densities=[],
     output:
         out=temp("results/{campaign}/lidar/windows/{chain}_density_{part}.npz"),
-    log:
-        "logs/{campaign}/lidar/count_neighbours_{chain}_{part}.log",
     benchmark:
         "benchmarks/{campaign}/lidar/count_neighbours_{chain}_{part}.jsonl"
 
@@ -229,18 +187,11 @@ rule colour_points:
         coloured="results/{campaign}/lidar/coloured.laz",
         counts="results/{campaign}/lidar/coloured.csv",
         gains="results/{campaign}/lidar/coloured_gains.csv",
-    log:
-        "logs/{campaign}/lidar/colour_points.log",
-    benchmark:
-        "benchmarks/{campaign}/lidar/colour_points.jsonl"
-    conda:
-        "../../envs/thalweg.yaml"
     threads: 2
     resources:
         mem_mb=memory(3000),
         runtime=minutes(20, 120),
     params:
-        code=code_version("colour_points"),
         colour=section("colour"),
         rig=of(CampaignFiles.rig_views),
     script:
@@ -258,18 +209,10 @@ rule check_colours:
     output:
         table="results/{campaign}/lidar/colour_check.csv",
         curves="results/{campaign}/lidar/colour_check_curves.csv",
-    log:
-        "logs/{campaign}/lidar/check_colours.log",
-    benchmark:
-        "benchmarks/{campaign}/lidar/check_colours.jsonl"
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(3000),
         runtime=minutes(20, 120),
     params:
-        code=code_version("check_colours"),
         colour=section("colour"),
     script:
         "../scripts/check_colours.py"
@@ -287,13 +230,6 @@ rule viewer_page:
     output:
         page="results/{campaign}/viewer/index.html",
         nodes=directory("results/{campaign}/viewer/nodes"),
-    log:
-        "logs/{campaign}/lidar/viewer_page.log",
-    benchmark:
-        "benchmarks/{campaign}/lidar/viewer_page.jsonl"
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(3000),
         runtime=minutes(10),

@@ -11,19 +11,11 @@ rule build_trajectory:
     output:
         trajectory="results/{campaign}/orientation/trajectory_stated.parquet",
         summary="results/{campaign}/orientation/trajectory.json",
-    log:
-        "logs/{campaign}/orientation/build_trajectory.log",
-    benchmark:
-        "benchmarks/{campaign}/orientation/build_trajectory.jsonl"
     priority: URGENT
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(1500),
         runtime=minutes(10),
     params:
-        code=code_version("build_trajectory"),
         campaign=identity("origin"),
         orientation=section("orientation"),
         stated=of(CampaignFiles.stated_positions),
@@ -41,19 +33,11 @@ rule predict_images:
         clock=of(CampaignFiles.camera_clock),
     output:
         predictions="results/{campaign}/orientation/image_predictions.parquet",
-    log:
-        "logs/{campaign}/orientation/predict_images.log",
-    benchmark:
-        "benchmarks/{campaign}/orientation/predict_images.jsonl"
     priority: URGENT
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(1500),
         runtime=minutes(10),
     params:
-        code=code_version("predict_images"),
         stated=of(CampaignFiles.stated_clock),
         off_boat=section("images", "off_boat"),
     script:
@@ -67,19 +51,11 @@ rule start_camera:
         stamps="results/{campaign}/ingest/image_stamps.parquet",
     output:
         camera="results/{campaign}/orientation/camera_start.yaml",
-    log:
-        "logs/{campaign}/orientation/start_camera.log",
-    benchmark:
-        "benchmarks/{campaign}/orientation/start_camera.jsonl"
     priority: URGENT
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(1500),
         runtime=minutes(10),
     params:
-        code=code_version("start_camera"),
         campaign=identity("id"),
         folders=of(CampaignFiles.interior_folders),
     script:
@@ -97,19 +73,11 @@ rule mask_images:
     output:
         masks=directory("results/{campaign}/orientation/masks"),
         table="results/{campaign}/orientation/masks.csv",
-    log:
-        "logs/{campaign}/orientation/mask_images.log",
-    benchmark:
-        "benchmarks/{campaign}/orientation/mask_images.jsonl"
     priority: URGENT
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(3000),
         runtime=minutes(60),
     params:
-        code=code_version("mask_images"),
         campaign=identity("seed"),
         options=section("images", "masks"),
         folders=of(CampaignFiles.interior_folders),
@@ -125,19 +93,12 @@ rule extract_features:
         masks="results/{campaign}/orientation/masks",
     output:
         features=temp("results/{campaign}/orientation/sfm/features_{part}.npz"),
-    log:
-        "logs/{campaign}/orientation/extract_features_{part}.log",
-    benchmark:
-        "benchmarks/{campaign}/orientation/extract_features_{part}.jsonl"
     priority: URGENT
-    conda:
-        "../../envs/thalweg.yaml"
     threads: 2
     resources:
         mem_mb=memory(3200),
         runtime=minutes(60),
     params:
-        code=code_version("extract_features"),
         part=lambda wildcards: int(wildcards.part),
         options=section("images", "features"),
         device=section("images", "device"),
@@ -156,19 +117,12 @@ rule match_features:
         trajectory="results/{campaign}/orientation/trajectory.parquet",
     output:
         pairs=temp("results/{campaign}/orientation/sfm/pairs_{part}.npz"),
-    log:
-        "logs/{campaign}/orientation/match_features_{part}.log",
-    benchmark:
-        "benchmarks/{campaign}/orientation/match_features_{part}.jsonl"
     priority: URGENT
-    conda:
-        "../../envs/thalweg.yaml"
     threads: 2
     resources:
         mem_mb=memory(2800, 20),
         runtime=minutes(60),
     params:
-        code=code_version("match_features"),
         part=lambda wildcards: int(wildcards.part),
         options=section("images", "mapping"),
         device=section("images", "device"),
@@ -189,19 +143,11 @@ rule join_matches:
         trajectory="results/{campaign}/orientation/trajectory.parquet",
     output:
         matches="results/{campaign}/orientation/sfm/matches.npz",
-    log:
-        "logs/{campaign}/orientation/join_matches.log",
-    benchmark:
-        "benchmarks/{campaign}/orientation/join_matches.jsonl"
     priority: URGENT
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(2000, 5),
         runtime=minutes(20),
     params:
-        code=code_version("join_matches"),
         options=section("images", "mapping"),
         folders=of(CampaignFiles.interior_folders),
     script:
@@ -217,19 +163,12 @@ rule map_images:
         pieces=directory("results/{campaign}/orientation/sfm/pieces"),
         images="results/{campaign}/orientation/sfm/images.csv",
         facts="results/{campaign}/orientation/sfm/facts.json",
-    log:
-        "logs/{campaign}/orientation/map_images.log",
-    benchmark:
-        "benchmarks/{campaign}/orientation/map_images.jsonl"
     priority: URGENT
-    conda:
-        "../../envs/thalweg.yaml"
     threads: of(CampaignFiles.mapper_threads)
     resources:
         mem_mb=memory(2700, 100),
         runtime=minutes(120),
     params:
-        code=code_version("map_images"),
         options=section("images", "mapping"),
         device=section("images", "device"),
     script:
@@ -250,19 +189,11 @@ rule fuse_trajectory:
         facts="results/{campaign}/orientation/fused.json",
         errors="results/{campaign}/orientation/errors_fused.npz",
         adjusted="results/{campaign}/orientation/image_poses_fused.parquet",
-    log:
-        "logs/{campaign}/orientation/fuse_trajectory.log",
-    benchmark:
-        "benchmarks/{campaign}/orientation/fuse_trajectory.jsonl"
     priority: URGENT
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(3000),
         runtime=minutes(30),
     params:
-        code=code_version("fuse_trajectory"),
         images_hold_positions=of(CampaignFiles.images_hold_positions),
         campaign=identity("origin"),
         fused=section("fused"),
@@ -285,19 +216,11 @@ rule measure_control_points:
         masks=raw("masks"),
     output:
         marks="results/{campaign}/orientation/control_marks.csv",
-    log:
-        "logs/{campaign}/orientation/measure_control_points.log",
-    benchmark:
-        "benchmarks/{campaign}/orientation/measure_control_points.jsonl"
     priority: URGENT
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(2600),
         runtime=minutes(30),
     params:
-        code=code_version("measure_control_points"),
         campaign=identity("origin", "crs"),
         options=section("images", "control"),
     script:
@@ -324,19 +247,11 @@ rule adjust_images:
         control_report="results/{campaign}/orientation/control_points.csv",
         images_report="results/{campaign}/orientation/images.csv",
         facts="results/{campaign}/orientation/adjustment.json",
-    log:
-        "logs/{campaign}/orientation/adjust_images.log",
-    benchmark:
-        "benchmarks/{campaign}/orientation/adjust_images.jsonl"
     priority: URGENT
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(2900, 100),
         runtime=minutes(60),
     params:
-        code=code_version("adjust_images"),
         campaign=identity("id", "origin", "crs"),
         adjustment=section("images", "adjustment"),
         control=section("images", "control"),
@@ -355,19 +270,11 @@ rule import_orientations:
         poses="results/{campaign}/orientation/image_poses_finished.parquet",
         camera="results/{campaign}/orientation/camera_finished.yaml",
         facts="results/{campaign}/orientation/finished.json",
-    log:
-        "logs/{campaign}/orientation/import_orientations.log",
-    benchmark:
-        "benchmarks/{campaign}/orientation/import_orientations.jsonl"
     priority: URGENT
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(2000),
         runtime=minutes(20),
     params:
-        code=code_version("import_orientations"),
         campaign=identity("id", "origin", "crs"),
         finished=section("images", "finished"),
     script:
@@ -389,19 +296,11 @@ rule time_images:
         times="results/{campaign}/orientation/image_times.parquet",
         clock="results/{campaign}/orientation/camera_clock.yaml",
         report="results/{campaign}/orientation/image_times.json",
-    log:
-        "logs/{campaign}/orientation/time_images.log",
-    benchmark:
-        "benchmarks/{campaign}/orientation/time_images.jsonl"
     priority: URGENT
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(2600),
         runtime=minutes(30),
     params:
-        code=code_version("time_images"),
         campaign=identity("origin"),
         source=of(CampaignFiles.position_source),
         stated=of(CampaignFiles.stated_positions),
@@ -426,19 +325,11 @@ rule camera_trajectory:
         images="results/{campaign}/orientation/camera_frames.csv",
         facts="results/{campaign}/orientation/camera_trajectory.json",
         errors="results/{campaign}/orientation/errors_camera.npz",
-    log:
-        "logs/{campaign}/orientation/camera_trajectory.log",
-    benchmark:
-        "benchmarks/{campaign}/orientation/camera_trajectory.jsonl"
     priority: URGENT
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(2000),
         runtime=minutes(20),
     params:
-        code=code_version("camera_trajectory"),
         cloud=section("images", "cloud"),
         orientation=section("orientation"),
         ins=section("ins"),

@@ -12,18 +12,10 @@ rule calibrate_rig:
         residuals="results/{campaign}/calibration/rig_residuals.csv",
         exposures="results/{campaign}/calibration/rig_exposures.csv",
         report="results/{campaign}/calibration/rig.json",
-    log:
-        "logs/{campaign}/panorama/calibrate_rig.log",
-    benchmark:
-        "benchmarks/{campaign}/panorama/calibrate_rig.jsonl"
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(2000),
         runtime=minutes(20, 60),
     params:
-        code=code_version("calibrate_rig"),
         campaign=identity("id"),
         rig=of(CampaignFiles.rig_views),
     script:
@@ -46,13 +38,7 @@ rule orient_rig:
         control_report="results/{campaign}/orientation/control_points_rig.csv",
         images_report="results/{campaign}/orientation/images_rig.csv",
         facts="results/{campaign}/orientation/adjustment_rig.json",
-    log:
-        "logs/{campaign}/panorama/orient_rig.log",
-    benchmark:
-        "benchmarks/{campaign}/panorama/orient_rig.jsonl"
     priority: URGENT
-    conda:
-        "../../envs/thalweg.yaml"
     threads: 2
     resources:
         mem_mb=memory(4000, 5),
@@ -80,18 +66,10 @@ rule place_rig_images:
         stamps="results/{campaign}/ingest/rig_stamps.parquet",
         integrity="results/{campaign}/ingest/rig.integrity.json",
         poses="results/{campaign}/panorama/poses.parquet",
-    log:
-        "logs/{campaign}/panorama/place_rig_images.log",
-    benchmark:
-        "benchmarks/{campaign}/panorama/place_rig_images.jsonl"
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(1500),
         runtime=minutes(10),
     params:
-        code=code_version("place_rig_images"),
         rig=section("rig"),
     script:
         "../scripts/place_rig_images.py"
@@ -107,18 +85,10 @@ rule make_panoramas:
     output:
         pictures=directory("results/{campaign}/panorama/pictures"),
         table="results/{campaign}/panorama/panoramas.parquet",
-    log:
-        "logs/{campaign}/panorama/make_panoramas.log",
-    benchmark:
-        "benchmarks/{campaign}/panorama/make_panoramas.jsonl"
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(2000),
         runtime=minutes(30, 120),
     params:
-        code=code_version("make_panoramas"),
         rig=of(CampaignFiles.rig_views),
         panorama=section("panorama"),
     script:
@@ -139,7 +109,3 @@ use rule viewer_page as walk_page with:
         page="results/{campaign}/panorama/index.html",
         nodes=directory("results/{campaign}/panorama/nodes"),
         views=directory("results/{campaign}/panorama/views"),
-    log:
-        "logs/{campaign}/panorama/walk_page.log",
-    benchmark:
-        "benchmarks/{campaign}/panorama/walk_page.jsonl"

@@ -23,18 +23,10 @@ rule budget_tables:
         budget_page="results/reproduction/error_budgets.md",
         verdicts_text="results/reproduction/error_budgets.txt",
         tables=expand("results/reproduction/budgets/{name}.csv", name=BUDGETS),
-    log:
-        "logs/reproduction/budget_tables.log",
-    benchmark:
-        "benchmarks/reproduction/budget_tables.jsonl"
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(1500),
         runtime=minutes(10),
     params:
-        code=code_version("budget_tables"),
         camera="p2_table1",
         ins="t_table3_1",
     script:
@@ -62,18 +54,10 @@ rule ledger:
             caption="../report/ledger.rst",
             category="Published numbers",
         ),
-    log:
-        "logs/reproduction/ledger.log",
-    benchmark:
-        "benchmarks/reproduction/ledger.jsonl"
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(2000),
         runtime=minutes(10),
     params:
-        code=code_version("ledger"),
         results=lambda wildcards: laboratory.whole_ledger_results(ROOT),
         rules=lambda wildcards: sorted(rule.name for rule in workflow.rules),
         figures=sorted(row.name for row in FIGURES.rows),
@@ -86,18 +70,10 @@ rule multi_line_scans:
     output:
         images="results/reproduction/multi_line_images.npz",
         image_points="results/reproduction/multi_line_points.csv",
-    log:
-        "logs/reproduction/multi_line_scans.log",
-    benchmark:
-        "benchmarks/reproduction/multi_line_scans.jsonl"
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(3000),
         runtime=minutes(20),
     params:
-        code=code_version("multi_line_scans"),
         seed=1,
     script:
         "../scripts/multi_line_scans.py"

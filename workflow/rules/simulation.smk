@@ -5,19 +5,11 @@ rule simulate_scene:
     """Mesh of the river reach."""
     output:
         scene="results/{campaign}/simulation/truth/scene.npz",
-    log:
-        "logs/{campaign}/simulation/simulate_scene.log",
-    benchmark:
-        "benchmarks/{campaign}/simulation/simulate_scene.jsonl"
     priority: URGENT
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(1500),
         runtime=minutes(10),
     params:
-        code=code_version("simulate_scene"),
         campaign=identity("origin", "seed"),
         twin=of(CampaignFiles.twin_parts, "scene"),
     script:
@@ -28,13 +20,6 @@ rule simulate_voyage:
     """True motion of the boat."""
     output:
         out_trajectory="results/{campaign}/simulation/truth/trajectory.parquet",
-    log:
-        "logs/{campaign}/simulation/simulate_voyage.log",
-    benchmark:
-        "benchmarks/{campaign}/simulation/simulate_voyage.jsonl"
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(1500),
         runtime=minutes(10),
@@ -53,18 +38,10 @@ rule simulate_mounts:
         same_boat=of(laboratory.calibrated_boat),
     output:
         true_mounts_file="results/{campaign}/simulation/truth/mounts.json",
-    log:
-        "logs/{campaign}/simulation/simulate_mounts.log",
-    benchmark:
-        "benchmarks/{campaign}/simulation/simulate_mounts.jsonl"
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(1500),
         runtime=minutes(10),
     params:
-        code=code_version("simulate_mounts"),
         campaign=identity("seed"),
         twin=of(CampaignFiles.twin_parts, "effects"),
         mounts=of(CampaignFiles.mounts, "lidar", "camera", "antenna", "echo_sounder"),
@@ -82,19 +59,11 @@ rule simulate_time_lapse:
         control_points="results/{campaign}/simulation/logs/control_points.csv",
         image_poses="results/{campaign}/simulation/truth/image_poses.parquet",
         truth="results/{campaign}/simulation/truth/time_lapse.json",
-    log:
-        "logs/{campaign}/simulation/simulate_time_lapse.log",
-    benchmark:
-        "benchmarks/{campaign}/simulation/simulate_time_lapse.jsonl"
     priority: URGENT
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(3000),
         runtime=minutes(600),
     params:
-        code=code_version("simulate_time_lapse"),
         campaign=identity("origin", "seed"),
         twin=of(CampaignFiles.twin_parts, "scene", "boat", "camera", "lidar"),
         time_lapse=section("twin", "time_lapse"),
@@ -108,13 +77,6 @@ rule simulate_rig_field:
         images=directory("results/{campaign}/simulation/logs/rig_field"),
         field="results/{campaign}/simulation/logs/rig_field.yaml",
         field_points="results/{campaign}/simulation/logs/rig_field_points.csv",
-    log:
-        "logs/{campaign}/simulation/simulate_rig_field.log",
-    benchmark:
-        "benchmarks/{campaign}/simulation/simulate_rig_field.jsonl"
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(1500),
         runtime=minutes(20),
@@ -137,13 +99,6 @@ rule simulate_dual_fisheye:
         poses="results/{campaign}/simulation/truth/rig_poses.parquet",
         panorama="results/{campaign}/simulation/truth/panorama.npz",
         truth="results/{campaign}/simulation/truth/rig.json",
-    log:
-        "logs/{campaign}/simulation/simulate_dual_fisheye.log",
-    benchmark:
-        "benchmarks/{campaign}/simulation/simulate_dual_fisheye.jsonl"
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(3000),
         runtime=minutes(60),
@@ -168,19 +123,11 @@ rule simulate_lidar:
         pcap="results/{campaign}/simulation/logs/lidar.pcap",
         shots="results/{campaign}/simulation/truth/lidar_shots.parquet",
         effects="results/{campaign}/simulation/truth/lidar_effects.json",
-    log:
-        "logs/{campaign}/simulation/simulate_lidar.log",
-    benchmark:
-        "benchmarks/{campaign}/simulation/simulate_lidar.jsonl"
     priority: URGENT
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(3000),
         runtime=minutes(60),
     params:
-        code=code_version("simulate_lidar"),
         campaign=identity("origin", "seed"),
         twin=of(CampaignFiles.twin_parts, "scene", "boat", "lidar", "effects"),
     script:
@@ -192,19 +139,11 @@ rule simulate_ins:
     output:
         anpp="results/{campaign}/simulation/logs/ins.anpp",
         effects="results/{campaign}/simulation/truth/ins_effects.json",
-    log:
-        "logs/{campaign}/simulation/simulate_ins.log",
-    benchmark:
-        "benchmarks/{campaign}/simulation/simulate_ins.jsonl"
     priority: URGENT
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(1500),
         runtime=minutes(10),
     params:
-        code=code_version("simulate_ins"),
         campaign=identity("origin", "seed"),
         twin=of(CampaignFiles.twin_parts, "scene", "boat", "ins", "effects"),
     script:
@@ -220,19 +159,11 @@ rule simulate_gnss:
         sbp="results/{campaign}/simulation/logs/rover.sbp",
         pos="results/{campaign}/simulation/logs/ppk.pos",
         effects="results/{campaign}/simulation/truth/gnss_effects.json",
-    log:
-        "logs/{campaign}/simulation/simulate_gnss.log",
-    benchmark:
-        "benchmarks/{campaign}/simulation/simulate_gnss.jsonl"
     priority: URGENT
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(1500),
         runtime=minutes(10),
     params:
-        code=code_version("simulate_gnss"),
         campaign=identity("origin", "seed"),
         twin=of(CampaignFiles.twin_parts, "scene", "boat", "gnss", "effects"),
     script:
@@ -249,13 +180,6 @@ rule simulate_raw_gnss:
         out_base="results/{campaign}/simulation/logs/raw/base.obs",
         out_nav="results/{campaign}/simulation/logs/raw/base.nav",
         out_effects="results/{campaign}/simulation/truth/raw_gnss_effects.json",
-    log:
-        "logs/{campaign}/simulation/simulate_raw_gnss.log",
-    benchmark:
-        "benchmarks/{campaign}/simulation/simulate_raw_gnss.jsonl"
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(1500),
         runtime=minutes(10),
@@ -277,18 +201,10 @@ rule simulate_echo:
         nmea="results/{campaign}/simulation/logs/echo.nmea",
         effects="results/{campaign}/simulation/truth/echo_effects.json",
         true_soundings="results/{campaign}/simulation/truth/soundings.parquet",
-    log:
-        "logs/{campaign}/simulation/simulate_echo.log",
-    benchmark:
-        "benchmarks/{campaign}/simulation/simulate_echo.jsonl"
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(1500),
         runtime=minutes(10),
     params:
-        code=code_version("simulate_echo"),
         campaign=identity("origin", "seed"),
         twin=of(CampaignFiles.twin_parts, "scene", "boat", "echo", "effects"),
     script:
@@ -302,13 +218,6 @@ rule simulate_bed_survey:
     output:
         out_bed="results/{campaign}/simulation/logs/bed.csv",
         out_effects="results/{campaign}/simulation/truth/bed_survey_effects.json",
-    log:
-        "logs/{campaign}/simulation/simulate_bed_survey.log",
-    benchmark:
-        "benchmarks/{campaign}/simulation/simulate_bed_survey.jsonl"
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(1500),
         runtime=minutes(10),
@@ -333,13 +242,6 @@ rule simulate_tls:
             allow_missing=True,
         ),
         out_effects="results/{campaign}/simulation/truth/tls_effects.json",
-    log:
-        "logs/{campaign}/simulation/simulate_tls.log",
-    benchmark:
-        "benchmarks/{campaign}/simulation/simulate_tls.jsonl"
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(3000),
         runtime=minutes(10),
@@ -360,12 +262,6 @@ rule simulate_uav:
     output:
         out_cloud="results/{campaign}/simulation/logs/uav.laz",
         out_effects="results/{campaign}/simulation/truth/uav_effects.json",
-    log:
-        "logs/{campaign}/simulation/simulate_uav.log",
-    benchmark:
-        "benchmarks/{campaign}/simulation/simulate_uav.jsonl"
-    conda:
-        "../../envs/thalweg.yaml"
     threads: 2
     resources:
         mem_mb=memory(3000),

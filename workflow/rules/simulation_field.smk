@@ -7,14 +7,7 @@ rule simulate_field:
         out_field="results/{campaign}/simulation/logs/field.yaml",
         out_truth="results/{campaign}/simulation/truth/field.json",
         out_poses="results/{campaign}/simulation/truth/field_poses.parquet",
-    log:
-        "logs/{campaign}/simulation/simulate_field.log",
-    benchmark:
-        "benchmarks/{campaign}/simulation/simulate_field.jsonl"
     priority: URGENT
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(1500),
         runtime=minutes(10),
@@ -34,19 +27,11 @@ rule simulate_positions:
     output:
         scans=directory("results/{campaign}/simulation/logs/position_scans"),
         effects="results/{campaign}/simulation/truth/positions_effects.json",
-    log:
-        "logs/{campaign}/simulation/simulate_positions.log",
-    benchmark:
-        "benchmarks/{campaign}/simulation/simulate_positions.jsonl"
     priority: URGENT
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(3000),
         runtime=minutes(20),
     params:
-        code=code_version("simulate_positions"),
         campaign=identity("origin", "seed"),
         twin=of(CampaignFiles.twin_parts, "lidar", "effects"),
     script:
@@ -62,19 +47,14 @@ rule simulate_field_images:
         times="results/{campaign}/simulation/truth/{field_images}_images.parquet",
     log:
         "logs/{campaign}/simulation/simulate_{field_images}_images.log",
-    benchmark:
-        "benchmarks/{campaign}/simulation/simulate_{field_images}_images.jsonl"
     wildcard_constraints:
         field_images="reference|position|run",
     priority: URGENT
-    conda:
-        "../../envs/thalweg.yaml"
     threads: 2
     resources:
         mem_mb=memory(3000),
         runtime=minutes(60),
     params:
-        code=code_version("simulate_field_images"),
         kind=lambda wildcards: wildcards.field_images.replace("position", "positions"),
         campaign=identity("seed"),
         twin=of(CampaignFiles.twin_parts, "camera", "effects"),
@@ -87,13 +67,7 @@ rule simulate_display:
     output:
         out_folder=directory("results/{campaign}/simulation/logs/display"),
         out_truth="results/{campaign}/simulation/truth/display.parquet",
-    log:
-        "logs/{campaign}/simulation/simulate_display.log",
-    benchmark:
-        "benchmarks/{campaign}/simulation/simulate_display.jsonl"
     priority: URGENT
-    conda:
-        "../../envs/thalweg.yaml"
     threads: 2
     resources:
         mem_mb=memory(2000),
@@ -113,18 +87,11 @@ rule simulate_synthetic_view:
     output:
         view="results/{campaign}/simulation/pictures/synthetic_view.npz",
         lidar_frame="results/{campaign}/simulation/pictures/lidar_frame.parquet",
-    log:
-        "logs/{campaign}/simulation/simulate_synthetic_view.log",
-    benchmark:
-        "benchmarks/{campaign}/simulation/simulate_synthetic_view.jsonl"
-    conda:
-        "../../envs/thalweg.yaml"
     threads: 2
     resources:
         mem_mb=memory(3000),
         runtime=minutes(10),
     params:
-        code=code_version("simulate_synthetic_view"),
         campaign=identity("seed"),
         twin=of(CampaignFiles.twin_parts, "camera", "lidar", "effects"),
     script:

@@ -10,13 +10,6 @@ rule simulate_sheet_station:
         covariance="results/{campaign}/simulation/logs/light_sheet/mark_points.npz",
         out_field_marks="results/{campaign}/simulation/logs/light_sheet/camera_field_marks.csv",
         out_field="results/{campaign}/simulation/logs/light_sheet/camera_field.yaml",
-    log:
-        "logs/{campaign}/simulation/simulate_sheet_station.log",
-    benchmark:
-        "benchmarks/{campaign}/simulation/simulate_sheet_station.jsonl"
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(2000),
         runtime=minutes(20),
@@ -38,13 +31,6 @@ rule simulate_sheet_grid:
         pulses="results/{campaign}/simulation/logs/light_sheet/calibration/trigger_pulses.csv",
         grid="results/{campaign}/simulation/logs/light_sheet/calibration/grid_1.yaml",
         truth=directory("results/{campaign}/simulation/truth/light_sheet/calibration"),
-    log:
-        "logs/{campaign}/simulation/simulate_sheet_grid.log",
-    benchmark:
-        "benchmarks/{campaign}/simulation/simulate_sheet_grid.jsonl"
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(2000),
         runtime=minutes(20),
@@ -66,13 +52,6 @@ rule simulate_sheet_panels:
         panels="results/{campaign}/simulation/logs/light_sheet/panels/images.csv",
         pulses="results/{campaign}/simulation/logs/light_sheet/panels/trigger_pulses.csv",
         truth=directory("results/{campaign}/simulation/truth/light_sheet/panels"),
-    log:
-        "logs/{campaign}/simulation/simulate_sheet_panels.log",
-    benchmark:
-        "benchmarks/{campaign}/simulation/simulate_sheet_panels.jsonl"
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(2000),
         runtime=minutes(20),

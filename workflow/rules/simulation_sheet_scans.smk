@@ -13,13 +13,6 @@ rule simulate_sheet_scan:
         reference="results/{campaign}/simulation/logs/light_sheet/{scan}/reference.ply",
         pairs="results/{campaign}/simulation/logs/light_sheet/{scan}/pairs.csv",
         truth=directory("results/{campaign}/simulation/truth/light_sheet/{scan}"),
-    log:
-        "logs/{campaign}/simulation/simulate_sheet_scan_{scan}.log",
-    benchmark:
-        "benchmarks/{campaign}/simulation/simulate_sheet_scan_{scan}.jsonl"
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(3000),
         runtime=minutes(20),
@@ -40,18 +33,10 @@ rule simulate_sheet_strip:
         images=directory("results/{campaign}/simulation/logs/light_sheet/strip/images"),
         pulses="results/{campaign}/simulation/logs/light_sheet/strip/trigger_pulses.csv",
         truth=directory("results/{campaign}/simulation/truth/light_sheet/strip"),
-    log:
-        "logs/{campaign}/simulation/simulate_sheet_strip.log",
-    benchmark:
-        "benchmarks/{campaign}/simulation/simulate_sheet_strip.jsonl"
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(3000),
         runtime=minutes(20),
     params:
-        code=code_version("simulate_sheet_strip"),
         campaign=identity("origin", "seed"),
         twin=of(CampaignFiles.twin_parts, "boat", "scene", "effects"),
         strip=section("twin", "light_sheet_strip"),

@@ -7,11 +7,6 @@ rule rows_of_study:
         rows=directory("results/reproduction/{study}/{batch}"),
     log:
         "logs/reproduction/{study}/{batch}.log",
-    benchmark:
-        "benchmarks/reproduction/{study}/{batch}.jsonl"
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=of_study("memory_mb"),
         runtime=of_study("minutes"),
@@ -41,11 +36,6 @@ for name, entry in STUDIES.items():
             ],
         log:
             f"logs/reproduction/{name}.log",
-        benchmark:
-            f"benchmarks/reproduction/{name}.jsonl"
-        conda:
-            "../../envs/thalweg.yaml"
-        threads: 1
         resources:
             mem_mb=memory(entry["jobs"].get("gathering_mb", 2000)),
             runtime=minutes(10),

@@ -10,18 +10,10 @@ rule mesh_reference:
     output:
         mesh="results/{campaign}/surface/reference_mesh.ply",
         facts="results/{campaign}/surface/reference_mesh.json",
-    log:
-        "logs/{campaign}/surface/mesh_reference.log",
-    benchmark:
-        "benchmarks/{campaign}/surface/mesh_reference.jsonl"
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(3000, 60),
         runtime=minutes(10, 60),
     params:
-        code=code_version("mesh_reference"),
         campaign=identity("origin", "crs"),
         reference=of(CampaignFiles.reference_surface),
         area=section("accuracy", "area"),

@@ -10,19 +10,11 @@ rule align_streams:
         mounts="results/{campaign}/calibration/mounts.json",
     output:
         streams="results/{campaign}/timing/streams.csv",
-    log:
-        "logs/{campaign}/timing/align_streams.log",
-    benchmark:
-        "benchmarks/{campaign}/timing/align_streams.jsonl"
     priority: URGENT
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(1500),
         runtime=minutes(10),
     params:
-        code=code_version("align_streams"),
         campaign=identity("origin"),
         source=of(CampaignFiles.position_source),
     script:
@@ -43,19 +35,11 @@ rule synchronise_camera:
         report="results/{campaign}/timing/camera_clock.json",
         fixes="results/{campaign}/timing/image_fixes.parquet",
         track="results/{campaign}/timing/antenna_track.parquet",
-    log:
-        "logs/{campaign}/timing/synchronise_camera.log",
-    benchmark:
-        "benchmarks/{campaign}/timing/synchronise_camera.jsonl"
     priority: URGENT
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(2000),
         runtime=minutes(20),
     params:
-        code=code_version("synchronise_camera"),
         campaign=identity("origin"),
         options=of(CampaignFiles.clock_options),
     script:
@@ -72,19 +56,11 @@ rule clock_from_ties:
     output:
         clock="results/{campaign}/timing/camera_clock_ties.yaml",
         images="results/{campaign}/timing/image_times_ties.parquet",
-    log:
-        "logs/{campaign}/timing/clock_from_ties.log",
-    benchmark:
-        "benchmarks/{campaign}/timing/clock_from_ties.jsonl"
     priority: URGENT
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(1000),
         runtime=minutes(10),
     params:
-        code=code_version("clock_from_ties"),
         options=of(CampaignFiles.clock_options),
     script:
         "../scripts/clock_from_ties.py"
@@ -98,19 +74,12 @@ rule read_display:
     output:
         display="results/{campaign}/timing/display.csv",
         stability="results/{campaign}/timing/clock_stability.json",
-    log:
-        "logs/{campaign}/timing/read_display.log",
-    benchmark:
-        "benchmarks/{campaign}/timing/read_display.jsonl"
     priority: URGENT
-    conda:
-        "../../envs/thalweg.yaml"
     threads: 2
     resources:
         mem_mb=memory(2000),
         runtime=minutes(20),
     params:
-        code=code_version("read_display"),
         options=section("calibration", "display"),
     script:
         "../scripts/read_display.py"
@@ -127,19 +96,11 @@ rule time_report:
     output:
         report="results/{campaign}/timing/time_report.csv",
         text="results/{campaign}/timing/time_report.txt",
-    log:
-        "logs/{campaign}/timing/time_report.log",
-    benchmark:
-        "benchmarks/{campaign}/timing/time_report.jsonl"
     priority: URGENT
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(2000),
         runtime=minutes(20),
     params:
-        code=code_version("time_report"),
         range_m=25.0,
     script:
         "../scripts/time_report.py"

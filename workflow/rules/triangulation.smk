@@ -11,18 +11,10 @@ rule calibrate_sheet_camera:
         camera="results/{campaign}/triangulation/camera_interior.yaml",
         report="results/{campaign}/triangulation/camera_interior.json",
         residuals="results/{campaign}/triangulation/camera_interior_residuals.csv",
-    log:
-        "logs/{campaign}/triangulation/calibrate_sheet_camera.log",
-    benchmark:
-        "benchmarks/{campaign}/triangulation/calibrate_sheet_camera.jsonl"
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(2000),
         runtime=minutes(20),
     params:
-        code=code_version("calibrate_sheet_camera"),
         campaign=identity("id", "origin"),
         twin=of(CampaignFiles.is_twin),
     script:
@@ -39,18 +31,10 @@ rule orient_sheet_camera:
     output:
         sensor="results/{campaign}/triangulation/camera.yaml",
         report="results/{campaign}/triangulation/camera.json",
-    log:
-        "logs/{campaign}/triangulation/orient_sheet_camera.log",
-    benchmark:
-        "benchmarks/{campaign}/triangulation/orient_sheet_camera.jsonl"
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(2000),
         runtime=minutes(20),
     params:
-        code=code_version("orient_sheet_camera"),
         campaign=identity("id"),
         calibration=section("light_sheet", "calibration"),
         twin=of(CampaignFiles.is_twin),
@@ -66,18 +50,11 @@ rule detect_sheet_lines:
     output:
         line_points="results/{campaign}/triangulation/{series}/line_points.parquet",
         counts="results/{campaign}/triangulation/{series}/line_counts.csv",
-    log:
-        "logs/{campaign}/triangulation/detect_sheet_lines_{series}.log",
-    benchmark:
-        "benchmarks/{campaign}/triangulation/detect_sheet_lines_{series}.jsonl"
-    conda:
-        "../../envs/thalweg.yaml"
     threads: 2
     resources:
         mem_mb=memory(2000),
         runtime=minutes(20),
     params:
-        code=code_version("detect_sheet_lines"),
         lines=of_wildcard("series", CampaignFiles.sheet_lines),
     script:
         "../scripts/detect_sheet_lines.py"
@@ -95,18 +72,10 @@ rule calibrate_light_sheet:
         parameters="results/{campaign}/triangulation/parameters.csv",
         residuals="results/{campaign}/triangulation/residuals.csv",
         pairs="results/{campaign}/triangulation/pairs.csv",
-    log:
-        "logs/{campaign}/triangulation/calibrate_light_sheet.log",
-    benchmark:
-        "benchmarks/{campaign}/triangulation/calibrate_light_sheet.jsonl"
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(2000),
         runtime=minutes(20),
     params:
-        code=code_version("calibrate_light_sheet"),
         campaign=identity("id"),
         calibration=section("light_sheet", "calibration"),
         water=section("light_sheet", "water"),
@@ -125,18 +94,9 @@ rule measure_panels:
     output:
         points="results/{campaign}/triangulation/panels/points.parquet",
         table="results/{campaign}/triangulation/panels.csv",
-    log:
-        "logs/{campaign}/triangulation/measure_panels.log",
-    benchmark:
-        "benchmarks/{campaign}/triangulation/measure_panels.jsonl"
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(2000),
         runtime=minutes(20),
-    params:
-        code=code_version("measure_panels"),
     script:
         "../scripts/measure_panels.py"
 
@@ -148,17 +108,8 @@ rule light_sheet_budget:
     output:
         budget="results/{campaign}/triangulation/budget.csv",
         look_up="results/{campaign}/triangulation/look_up_table.npz",
-    log:
-        "logs/{campaign}/triangulation/light_sheet_budget.log",
-    benchmark:
-        "benchmarks/{campaign}/triangulation/light_sheet_budget.jsonl"
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(2000),
         runtime=minutes(20),
-    params:
-        code=code_version("light_sheet_budget"),
     script:
         "../scripts/light_sheet_budget.py"

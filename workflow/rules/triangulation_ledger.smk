@@ -8,18 +8,9 @@ rule compare_line_methods:
         line_points="results/{campaign}/triangulation/panels/line_points.parquet",
     output:
         line_methods="results/{campaign}/triangulation/line_methods.csv",
-    log:
-        "logs/{campaign}/triangulation/compare_line_methods.log",
-    benchmark:
-        "benchmarks/{campaign}/triangulation/compare_line_methods.jsonl"
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(2000),
         runtime=minutes(10),
-    params:
-        code=code_version("compare_line_methods"),
     script:
         "../scripts/compare_line_methods.py"
 
@@ -36,18 +27,10 @@ rule light_sheet_ledger:
         ledger="results/{campaign}/triangulation/ledger.csv",
         text="results/{campaign}/triangulation/ledger.md",
         numbers="results/{campaign}/triangulation/ledger_counts.csv",
-    log:
-        "logs/{campaign}/triangulation/light_sheet_ledger.log",
-    benchmark:
-        "benchmarks/{campaign}/triangulation/light_sheet_ledger.jsonl"
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(2000),
         runtime=minutes(10),
     params:
-        code=code_version("light_sheet_ledger"),
         folder=lambda wildcards: f"results/{wildcards.campaign}",
         studies=laboratory.ledger_studies(ROOT),
         light_sheet=section("twin", "light_sheet"),

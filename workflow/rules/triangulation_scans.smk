@@ -12,18 +12,9 @@ rule locate_sheet_sensor:
     output:
         poses="results/{campaign}/triangulation/{scan}/poses.npz",
         table="results/{campaign}/triangulation/{scan}/poses.csv",
-    log:
-        "logs/{campaign}/triangulation/locate_sheet_sensor_{scan}.log",
-    benchmark:
-        "benchmarks/{campaign}/triangulation/locate_sheet_sensor_{scan}.jsonl"
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(2000),
         runtime=minutes(20),
-    params:
-        code=code_version("locate_sheet_sensor"),
     script:
         "../scripts/locate_sheet_sensor.py"
 
@@ -37,18 +28,9 @@ rule merge_scan:
     output:
         points="results/{campaign}/triangulation/{scan}/points.parquet",
         counts="results/{campaign}/triangulation/{scan}/counts.json",
-    log:
-        "logs/{campaign}/triangulation/merge_scan_{scan}.log",
-    benchmark:
-        "benchmarks/{campaign}/triangulation/merge_scan_{scan}.jsonl"
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(2000),
         runtime=minutes(20),
-    params:
-        code=code_version("merge_scan"),
     script:
         "../scripts/merge_scan.py"
 
@@ -68,18 +50,10 @@ rule compare_scan:
         facts="results/{campaign}/triangulation/{scan}/facts.json",
         profile="results/{campaign}/triangulation/{scan}/profile.csv",
         profile_facts="results/{campaign}/triangulation/{scan}/profile.json",
-    log:
-        "logs/{campaign}/triangulation/compare_scan_{scan}.log",
-    benchmark:
-        "benchmarks/{campaign}/triangulation/compare_scan_{scan}.jsonl"
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(2500, 15),
         runtime=minutes(20),
     params:
-        code=code_version("compare_scan"),
         scanned=lambda wildcards: wildcards.scan,
         levels_mm=of_wildcard("scan", CampaignFiles.scan_levels),
     script:
@@ -98,18 +72,10 @@ rule rectify_scan:
         picture="results/{campaign}/triangulation/{scan}/orthophoto.png",
         world="results/{campaign}/triangulation/{scan}/orthophoto.pgw",
         report="results/{campaign}/triangulation/{scan}/orthophoto.json",
-    log:
-        "logs/{campaign}/triangulation/rectify_scan_{scan}.log",
-    benchmark:
-        "benchmarks/{campaign}/triangulation/rectify_scan_{scan}.jsonl"
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(2000),
         runtime=minutes(20),
     params:
-        code=code_version("rectify_scan"),
         lines=section("light_sheet", "lines"),
         cell_m=0.0005,
     script:
@@ -128,18 +94,10 @@ rule locate_bed_strip:
         bed="results/{campaign}/triangulation/strip/bed.laz",
         points="results/{campaign}/triangulation/strip/points.parquet",
         counts="results/{campaign}/triangulation/strip/counts.json",
-    log:
-        "logs/{campaign}/triangulation/locate_bed_strip.log",
-    benchmark:
-        "benchmarks/{campaign}/triangulation/locate_bed_strip.jsonl"
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(2000),
         runtime=minutes(20),
     params:
-        code=code_version("locate_bed_strip"),
         campaign=identity("origin"),
         mount=section("light_sheet", "mount"),
         water=section("light_sheet", "water"),

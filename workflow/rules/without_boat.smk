@@ -22,11 +22,7 @@ rule orient_photographs:
         facts="results/{campaign}/photographs/orientation.json",
     log:
         "logs/{campaign}/orientation/orient_photographs.log",
-    benchmark:
-        "benchmarks/{campaign}/orientation/orient_photographs.jsonl"
     priority: URGENT
-    conda:
-        "../../envs/thalweg.yaml"
     threads: 2
     resources:
         mem_mb=memory(4000, 5),
@@ -60,12 +56,7 @@ rule place_photographs:
         facts="results/{campaign}/photographs/finished.json",
     log:
         "logs/{campaign}/orientation/place_photographs.log",
-    benchmark:
-        "benchmarks/{campaign}/orientation/place_photographs.jsonl"
     priority: URGENT
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(1500),
         runtime=minutes(20),
@@ -91,12 +82,7 @@ rule resect_pictures:
         facts="results/{campaign}/orientation/fixed_camera.json",
     log:
         "logs/{campaign}/orientation/resect_pictures.log",
-    benchmark:
-        "benchmarks/{campaign}/orientation/resect_pictures.jsonl"
     priority: URGENT
-    conda:
-        "../../envs/thalweg.yaml"
-    threads: 1
     resources:
         mem_mb=memory(1500),
         runtime=minutes(20),
@@ -120,11 +106,7 @@ rule compare_cloud:
         facts="results/{campaign}/accuracy/cloud.json",
     log:
         "logs/{campaign}/accuracy/compare_cloud.log",
-    benchmark:
-        "benchmarks/{campaign}/accuracy/compare_cloud.jsonl"
     priority: URGENT
-    conda:
-        "../../envs/thalweg.yaml"
     threads: 2
     resources:
         mem_mb=memory(3000, 60),

@@ -61,10 +61,11 @@ class Figure(BaseModel):
         """Its file, with wildcards."""
         return self._below(self.file or f"figures/{self.name}.png")
 
-    def protocol(self, folder: str, suffix: str) -> str:
-        """Its file in ``logs`` or ``benchmarks``, with wildcards."""
+    def log(self, suffix: str = "png") -> str:
+        """The log of the rule of a format, with wildcards."""
         place = self.owner if self.kind == "study" else f"{self.owner}/figures"
-        return f"{folder}/{place}/{self.rule}{'_{scan}' * (self.kind == 'scan')}.{suffix}"
+        path = f"logs/{place}/{self.rule}{'_{scan}' * (self.kind == 'scan')}.png"
+        return f"{as_format(path, suffix).removesuffix('.png')}.log"
 
     def input_files(self, campaigns: Mapping[str, CampaignFiles]) -> dict[str, Any]:
         """Inputs by keyword: paths with wildcards, and functions of the wildcards."""
