@@ -4,6 +4,7 @@
 """
 
 import hashlib
+import math
 from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
@@ -70,6 +71,9 @@ _RIG_FIELD: Final = {
     "rig_field": ("rig_field.yaml",),
     "rig_field_points": ("rig_field_points.csv",),
 }
+_IMAGES_OF_PART: Final = 30
+"""Images that one job draws of not too many: to set up the scene takes as long as some of them."""
+_MOST_PARTS: Final = 8
 _TIME_LAPSE: Final = {"time_lapse": ("time_lapse",), "control_points": ("control_points.csv",)}
 
 
@@ -115,6 +119,20 @@ def calibrated_boat(files: CampaignFiles) -> list[str]:
     chosen = files.calibration_campaign()
     twin = chosen is not None and files.of(chosen).is_twin()
     return [f"results/{chosen}/simulation/truth/mounts.json"] if twin else []
+
+
+def n_image_parts(files: CampaignFiles) -> int:
+    """Jobs that draw the images of the bank."""
+    twin = files.plain["twin"]
+    lapse = twin["time_lapse"]
+    n = math.ceil(lapse["share"] * lapse["rate_hz"] * twin["duration_s"] / _IMAGES_OF_PART)
+    return min(max(n, 1), _MOST_PARTS)
+
+
+def image_parts(files: CampaignFiles) -> list[str]:
+    """Folders of their images; few images are drawn by the job that brings them together."""
+    n = n_image_parts(files)
+    return [f"results/{files.name}/simulation/time_lapse_{k}" for k in range(n if n > 1 else 0)]
 
 
 def rig_device(files: CampaignFiles) -> dict[str, Any]:

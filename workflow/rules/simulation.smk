@@ -49,11 +49,35 @@ rule simulate_mounts:
         "../scripts/simulate_mounts.py"
 
 
+rule simulate_time_lapse_part:
+    """One part of many images of the bank; the parts are jobs of their own."""
+    input:
+        true_mounts="results/{campaign}/simulation/truth/mounts.json",
+        scene="results/{campaign}/simulation/truth/scene.npz",
+    output:
+        out_images=temp(directory("results/{campaign}/simulation/time_lapse_{part}")),
+    priority: URGENT
+    resources:
+        mem_mb=memory(3000),
+        runtime=minutes(600),
+    params:
+        **calls("thalweg_lab.time_lapse.record:draw_images"),
+        config=of(CampaignFiles.twin_parts, "scene", "boat", "camera", "lidar"),
+        settings=section("twin", "time_lapse"),
+        seed=section("campaign", "seed"),
+        frame=section("campaign", "origin"),
+        part=lambda wildcards: int(wildcards.part),
+        parts=of(laboratory.n_image_parts),
+    script:
+        "../scripts/call.py"
+
+
 rule simulate_time_lapse:
     """Images of the bank along the voyage, and the survey of the control points."""
     input:
         true_mounts="results/{campaign}/simulation/truth/mounts.json",
         scene="results/{campaign}/simulation/truth/scene.npz",
+        drawn=of(laboratory.image_parts),
     output:
         images=directory("results/{campaign}/simulation/logs/time_lapse"),
         control_points="results/{campaign}/simulation/logs/control_points.csv",

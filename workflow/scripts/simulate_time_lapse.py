@@ -14,6 +14,7 @@ def main(
     *,
     scene: Path,
     true_mounts: Path,
+    drawn: list[Path],
     images: Path,
     control_points: Path,
     image_poses: Path,
@@ -33,6 +34,7 @@ def main(
         control_points,
         out_poses=image_poses,
         out_truth=truth,
+        drawn=drawn,
     )
 
 

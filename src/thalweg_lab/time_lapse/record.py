@@ -1,8 +1,10 @@
 """The recording: images, control points' survey, and the truth apart."""
 
 import json
-from collections.abc import Mapping
+import shutil
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Final
 
@@ -27,7 +29,7 @@ from thalweg_lab.river_images import Sun
 from thalweg_lab.settings import TwinConfig, TwinLens, TwinTimeLapse
 from thalweg_lab.time_lapse.foreground import OwnBoat, Targets, place_targets
 from thalweg_lab.time_lapse.renderer import Renderer, World
-from thalweg_lab.voyage import Voyage, start_unix
+from thalweg_lab.voyage import Voyage, read_true_mounts, start_unix
 from thalweg_lab.writers import PhotoFacts, true_poses, write_jpeg
 from thalweg_lab.yard_images import (
     BOAT_SENSOR_MM,
@@ -269,7 +271,7 @@ _METERED: Final = 2.3 * 0.85
 _EXPOSURES: Final = (0.4, 2.5)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class TimeLapse:
     """Everything that the images of a campaign are made from.
 
@@ -277,19 +279,21 @@ class TimeLapse:
     ----------
     config, settings : sections ``twin`` and ``twin.time_lapse``.
     seed : seed of the campaign.
+    frame : local frame; says where the sun stands.
+    scene : the twin's world.
+    mounts : true mounts, with ``camera``.
     plan : exposures and lens.
     targets : boards on the bank.
-    renderer : sees.
-    voyage : true motion.
     """
 
     config: TwinConfig
     settings: TwinTimeLapse
     seed: int
+    frame: LocalFrame
+    scene: Scene
+    mounts: Mapping[str, Any]
     plan: Plan
     targets: Targets
-    renderer: Renderer
-    voyage: Voyage
 
     @classmethod
     def of(
@@ -307,7 +311,7 @@ class TimeLapse:
         ----------
         config, settings : sections ``twin`` and ``twin.time_lapse``.
         seed : seed of the campaign.
-        frame : local frame; says where the sun stands.
+        frame : local frame.
         scene : the twin's world.
         mounts : true mounts, with ``camera``.
 
@@ -316,19 +320,27 @@ class TimeLapse:
         ConfigError : no mount of the camera, no image, or no places for the control points.
         """
         plan = plan_images(config, settings, seed, mounts)
-        sun = sun_of(config, frame)
         bare = scene.without(Material.WATER).caster()
         targets = place_targets(River(config.scene, seed), bare, plan.camera, plan.poses, settings, seed)
-        world = World(scene, targets, sun)
-        lens = LensRays(plan.camera, field_of_view_deg=plan.lens.field_of_view_deg)
-        renderer = Renderer(
-            world,
+        return cls(config, settings, seed, frame, scene, mounts, plan, targets)
+
+    @cached_property
+    def renderer(self) -> Renderer:
+        """What sees; it takes a while to build."""
+        config, T_ics_ccs = self.config, mount_of(self.mounts["camera"])
+        lens = LensRays(self.plan.camera, field_of_view_deg=self.plan.lens.field_of_view_deg)
+        return Renderer(
+            World(self.scene, self.targets, sun_of(config, self.frame)),
             lens,
-            waves=Waves.draw(seed, rms_slope=config.lidar.wave_slope),
-            boat=OwnBoat.seen(lens, mounts, mount_of(mounts["camera"]), waterline_m=config.boat.height_m),
-            supersampling=settings.supersampling,
+            waves=Waves.draw(self.seed, rms_slope=config.lidar.wave_slope),
+            boat=OwnBoat.seen(lens, self.mounts, T_ics_ccs, waterline_m=config.boat.height_m),
+            supersampling=self.settings.supersampling,
         )
-        return cls(config, settings, seed, plan, targets, renderer, Voyage(config, seed))
+
+    @cached_property
+    def voyage(self) -> Voyage:
+        """True motion."""
+        return Voyage(self.config, self.seed)
 
     def light(self, k: int) -> ArrayF32:
         """Linear light (h, w, 3) of image k before lens and sensor."""
@@ -375,6 +387,29 @@ class TimeLapse:
         )
 
 
+def draw_images(
+    config: TwinConfig,
+    settings: TwinTimeLapse,
+    seed: int,
+    frame: LocalFrame,
+    scene: Path,
+    true_mounts: Path,
+    out_images: Path,
+    *,
+    part: int,
+    parts: int,
+) -> None:
+    """Draw and write one part of the images, each ``parts``-th from number ``part`` on.
+
+    ``true_mounts`` is the file of the mounts; all else and the errors are those of `simulate_time_lapse`.
+    """
+    mounts = read_true_mounts(true_mounts)
+    recording = TimeLapse.of(config, settings, seed, frame, Scene.read(scene), mounts)
+    out_images.mkdir(parents=True, exist_ok=True)
+    for k in steps(range(part, len(recording.plan.shots), parts), "image"):
+        recording.write_image(k, out_images)
+
+
 def simulate_time_lapse(
     config: TwinConfig,
     settings: TwinTimeLapse,
@@ -387,6 +422,7 @@ def simulate_time_lapse(
     *,
     out_poses: Path,
     out_truth: Path,
+    drawn: Sequence[Path] = (),
 ) -> int:
     """Take and write the images of a voyage, the survey of the control points, and the truth.
 
@@ -401,6 +437,7 @@ def simulate_time_lapse(
     out_control_points : CSV, see `survey.surveyed`.
     out_poses : true poses of the images, table kind ``image_poses``.
     out_truth : true camera, control points and times, JSON.
+    drawn : folders of all parts of the images by `draw_images`; none: they are drawn here.
 
     Returns
     -------
@@ -413,7 +450,9 @@ def simulate_time_lapse(
     recording = TimeLapse.of(config, settings, seed, frame, Scene.read(scene), mounts)
     plan = recording.plan
     out_images.mkdir(parents=True, exist_ok=True)
-    for k in steps(range(len(plan.shots)), "image"):
+    for folder in drawn:
+        shutil.copytree(folder, out_images, dirs_exist_ok=True)
+    for k in steps(range(0 if drawn else len(plan.shots)), "image"):
         recording.write_image(k, out_images)
     write_survey(out_control_points, surveyed(recording.targets, settings, seed))
     write_poses(out_poses, plan, frame)

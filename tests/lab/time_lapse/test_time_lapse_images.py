@@ -1,11 +1,16 @@
 """The images: geometry, what moves and what does not, effects, files."""
 
+from pathlib import Path
+
 import cv2
 import numpy as np
 import pytest
 
+from tests.lab.conftest import FRAME
+from tests.lab.time_lapse.conftest import CONFIG, MOUNTS, SEED, settings
 from thalweg.ingest.photos import read_image_stamps
-from thalweg_lab.voyage import start_gps_s
+from thalweg_lab.time_lapse import draw_images, simulate_time_lapse
+from thalweg_lab.voyage import read_true_mounts, start_gps_s, write_true_mounts
 
 FIRST = 5
 """An image of the tests."""
@@ -95,3 +100,28 @@ def test_files_carry_their_stamps_as_the_reader_expects(reach, tmp_path):
             error = row["t_device_s"] - start_gps_s(recording.config) - shot.since_s - ahead
             # Jitter of 23 ms, five sigma; drift of 12 ppm over 8 s and milliseconds are nothing beside it.
             assert abs(error) < 5 * recording.config.camera.jitter_s + 0.001
+
+
+def test_images_in_parts_are_those_of_one_job(reach, tmp_path):
+    """Three images in two jobs, byte by byte, with everything that is written beside them."""
+    how = (CONFIG, settings(**SMALL, share=0.06), SEED, FRAME, reach.path)
+    mounts = tmp_path / "mounts.json"
+    write_true_mounts(mounts, MOUNTS, MOUNTS)
+    drawn = [tmp_path / f"part_{k}" for k in range(2)]
+    for k, folder in enumerate(drawn):
+        draw_images(*how, mounts, folder, part=k, parts=2)
+    assert [len(list(folder.iterdir())) for folder in drawn] == [2, 1]
+
+    def written(name: str, parts: list[Path]) -> dict[str, bytes]:
+        """All files of a recording, by the folder that it was told."""
+        folder = tmp_path / name
+        n = simulate_time_lapse(
+            *how, read_true_mounts(mounts), folder / "images", folder / "points.csv",
+            out_poses=folder / "poses.parquet", out_truth=folder / "truth.json", drawn=parts,
+        )  # fmt: skip
+        assert n == 3
+        return {str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
+
+    whole = written("whole", [])
+    assert len(whole) == 3 + 3
+    assert written("joined", drawn) == whole
