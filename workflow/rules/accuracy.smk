@@ -19,7 +19,8 @@ rule compare_with_reference:
         mem_mb=memory(2500, 20),
         runtime=minutes(15, 30),
     params:
-        campaign=identity("crs", "seed"),
+        crs=CRS,
+        seed=SEED,
         accuracy=of(CampaignFiles.comparison),
         reference=lambda wildcards: {
             "sigma_m": CAMPAIGNS[wildcards.campaign].reference.sigma_m
@@ -91,6 +92,6 @@ rule compare_riverbed_with_truth:
         mem_mb=memory(2500, 10),
         runtime=minutes(10, 30),
     params:
-        campaign=identity("origin"),
+        frame=FRAME,
     script:
         "../scripts/compare_riverbed_with_truth.py"

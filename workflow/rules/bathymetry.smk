@@ -20,7 +20,8 @@ rule locate_soundings:
         mem_mb=memory(2000, 20),
         runtime=minutes(10, 30),
     params:
-        campaign=identity("origin", "crs"),
+        frame=FRAME,
+        crs=CRS,
         echo_sounder=section("echo_sounder"),
         bathymetry=section("bathymetry"),
         water_line_ics_m=section("filters", "water_line_ics_m"),
@@ -45,7 +46,8 @@ rule trace_river:
         mem_mb=memory(2500, 10),
         runtime=minutes(10, 30),
     params:
-        campaign=identity("origin", "crs"),
+        frame=FRAME,
+        crs=CRS,
         bathymetry=section("bathymetry"),
         water_line_ics_m=section("filters", "water_line_ics_m"),
     script:
@@ -71,7 +73,10 @@ rule krige_bed:
         mem_mb=memory(2000, 20),
         runtime=minutes(30, 60),
     params:
-        campaign=identity("id", "origin", "crs", "seed"),
+        run=RUN,
+        frame=FRAME,
+        crs=CRS,
+        seed=SEED,
         echo_sounder=section("echo_sounder"),
         bathymetry=section("bathymetry"),
     script:
@@ -97,7 +102,7 @@ rule validate_bed:
         mem_mb=memory(2000, 20),
         runtime=minutes(30, 60),
     params:
-        campaign=identity("crs"),
+        crs=CRS,
         bathymetry=section("bathymetry"),
     script:
         "../scripts/validate_bed.py"

@@ -61,7 +61,8 @@ rule adjust_field:
         mem_mb=memory(2000),
         runtime=minutes(20),
     params:
-        campaign=identity("id", "origin"),
+        run=RUN,
+        frame=FRAME,
         model=section("calibration", "reference_camera", "model"),
         focal_px=section("calibration", "reference_camera", "focal_px"),
     script:
@@ -88,7 +89,7 @@ rule orient_camera:
         mem_mb=memory(2000),
         runtime=minutes(20),
     params:
-        campaign=identity("id"),
+        run=RUN,
         model=section("calibration", "boat_camera", "model"),
         focal_px=section("calibration", "boat_camera", "focal_px"),
     script:
@@ -119,12 +120,12 @@ rule calibrate_camera_lidar:
         mem_mb=memory(2000),
         runtime=minutes(20),
     params:
-        campaign=identity("id"),
+        run=RUN,
         mounts=of(CampaignFiles.mounts, "lidar", "camera"),
         lidar_options=of(CampaignFiles.lidar_options),
         lidar_accuracy=section("lidar_accuracy"),
         settings=section("calibration", "camera_lidar"),
-        twin=of(CampaignFiles.is_twin),
+        twin=TWIN,
     script:
         "../scripts/calibrate_camera_lidar.py"
 
@@ -153,7 +154,7 @@ rule calibrate_ins_lidar:
         mem_mb=memory(3000),
         runtime=minutes(20),
     params:
-        campaign=identity("id"),
+        run=RUN,
         lidar_options=of(CampaignFiles.lidar_options),
         settings=of(CampaignFiles.ins_lidar_settings),
         antenna_position=section("calibration", "ins_lidar", "antenna_position"),
@@ -177,10 +178,12 @@ rule calibrate_echo_sounder:
         mem_mb=memory(1500),
         runtime=minutes(10),
     params:
-        campaign=identity("id", "origin", "crs"),
+        run=RUN,
+        frame=FRAME,
+        crs=CRS,
         settings=of(CampaignFiles.echo_settings),
         stated=section("echo_sounder"),
-        twin=of(CampaignFiles.is_twin),
+        twin=TWIN,
     script:
         "../scripts/calibrate_echo_sounder.py"
 
@@ -197,9 +200,9 @@ rule assemble_boat:
         mem_mb=memory(2000),
         runtime=minutes(20),
     params:
-        campaign=identity("id"),
+        run=RUN,
         echo_sounder=of(CampaignFiles.echo_place),
-        twin=of(CampaignFiles.is_twin),
+        twin=TWIN,
     script:
         "../scripts/assemble_boat.py"
 
@@ -219,7 +222,7 @@ rule calibrate_board:
         mem_mb=memory(2000),
         runtime=minutes(20),
     params:
-        campaign=identity("id"),
+        run=RUN,
         mounts=of(CampaignFiles.mounts, "lidar", "camera"),
         lidar_options=of(CampaignFiles.lidar_options),
         lidar_accuracy=section("lidar_accuracy"),

@@ -147,8 +147,14 @@ def section(*keys):
 
 
 def identity(*keys):
-    """Function for params: only those keys of the section `campaign`."""
+    """Function for params: only those keys of the section `campaign`, so that a new title reruns pictures alone."""
     return of(CampaignFiles.identity, *keys)
+
+
+FRAME, CRS, SEED, RUN, TITLE = (
+    section("campaign", key) for key in ("origin", "crs", "seed", "id", "title")
+)
+TWIN = of(CampaignFiles.is_twin)
 
 
 def calls(function, script="call"):

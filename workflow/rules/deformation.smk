@@ -22,7 +22,8 @@ rule prepare_epoch:
         mem_mb=memory(3000, 10),
         runtime=minutes(10, 60),
     params:
-        campaign=identity("origin", "crs"),
+        frame=FRAME,
+        crs=CRS,
         deformation=section("deformation"),
         name=lambda wildcards: wildcards.epoch,
         chain=of_wildcard("epoch", CampaignFiles.chain_of),
@@ -51,7 +52,8 @@ rule prepare_foreign_epoch:
         mem_mb=memory(3000, 10),
         runtime=minutes(10, 60),
     params:
-        campaign=identity("origin", "crs"),
+        frame=FRAME,
+        crs=CRS,
         deformation=section("deformation"),
         name=lambda wildcards: wildcards.epoch,
         stated=of_wildcard("epoch", CampaignFiles.epoch_statement),
@@ -70,7 +72,8 @@ rule place_core_points:
         mem_mb=memory(2600, 10),
         runtime=minutes(10, 60),
     params:
-        campaign=identity("origin", "crs"),
+        frame=FRAME,
+        crs=CRS,
         deformation=section("deformation"),
     script:
         "../scripts/place_core_points.py"
@@ -90,7 +93,8 @@ rule coregister_epochs:
         mem_mb=memory(3200, 10),
         runtime=minutes(10, 60),
     params:
-        campaign=identity("origin", "crs"),
+        frame=FRAME,
+        crs=CRS,
         deformation=section("deformation"),
     script:
         "../scripts/coregister_epochs.py"
@@ -118,7 +122,8 @@ rule compare_epochs:
         mem_mb=memory(3200, 10),
         runtime=minutes(20, 60),
     params:
-        campaign=identity("origin", "seed"),
+        frame=FRAME,
+        seed=SEED,
         deformation=section("deformation"),
     script:
         "../scripts/compare_epochs.py"
@@ -139,7 +144,8 @@ rule difference_of_surfaces:
         mem_mb=memory(3200, 10),
         runtime=minutes(20, 60),
     params:
-        campaign=identity("origin", "crs"),
+        frame=FRAME,
+        crs=CRS,
         deformation=section("deformation"),
         models=of_wildcard("pair", CampaignFiles.surface_statements),
     script:
@@ -162,7 +168,8 @@ rule change_series:
         mem_mb=memory(4000, 10),
         runtime=minutes(20, 60),
     params:
-        campaign=identity("origin", "crs"),
+        frame=FRAME,
+        crs=CRS,
         deformation=section("deformation"),
     script:
         "../scripts/change_series.py"
@@ -214,7 +221,7 @@ rule compare_change_with_truth:
         mem_mb=memory(3000),
         runtime=minutes(20),
     params:
-        campaign=identity("origin"),
+        frame=FRAME,
         deformation=section("deformation"),
     script:
         "../scripts/compare_change_with_truth.py"

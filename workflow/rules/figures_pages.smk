@@ -12,7 +12,7 @@ PAGES = {
         "params": {
             "lacking": of(CampaignFiles.lacking),
             "figures": {row.name: (row.category, row.shows) for row in FIGURES.rows},
-            "crs": section("campaign", "crs"),
+            "crs": CRS,
         },
     },
     "accuracy_page": {
@@ -204,8 +204,8 @@ for name, entry in PAGES.items():
         params:
             **entry["params"],
             **calls(entry["calls"], "page"),
-            twin=of(CampaignFiles.is_twin),
-            title=section("campaign", "title"),
+            twin=TWIN,
+            title=TITLE,
         script:
             "../scripts/page.py"
 
@@ -227,7 +227,7 @@ rule survey_report:
         words=of(CampaignFiles.delivered),
         captions={row.name: row.caption for row in FIGURES.rows},
         settings=of(CampaignFiles.report_settings),
-        title=section("campaign", "title"),
-        twin=of(CampaignFiles.is_twin),
+        title=TITLE,
+        twin=TWIN,
     script:
         "../scripts/call.py"

@@ -21,7 +21,8 @@ rule build_dtm:
         mem_mb=memory(3000, 15),
         runtime=minutes(20, 60),
     params:
-        campaign=identity("origin", "crs"),
+        frame=FRAME,
+        crs=CRS,
         fusion=section("fusion"),
     script:
         "../scripts/build_dtm.py"
@@ -44,7 +45,8 @@ rule measure_river:
         mem_mb=memory(2000, 20),
         runtime=minutes(10, 30),
     params:
-        campaign=identity("origin", "crs"),
+        frame=FRAME,
+        crs=CRS,
         fusion=section("fusion"),
     script:
         "../scripts/measure_river.py"
@@ -86,7 +88,7 @@ rule gis_project:
         runtime=minutes(10),
     params:
         **calls("thalweg.figures.gis:write_gis_project"),
-        title=section("campaign", "title"),
-        crs=section("campaign", "crs"),
+        title=TITLE,
+        crs=CRS,
     script:
         "../scripts/call.py"

@@ -35,7 +35,7 @@ rule read_ins:
         runtime=minutes(10),
     params:
         source=of(CampaignFiles.position_source),
-        campaign=identity("origin"),
+        frame=FRAME,
         options=of(CampaignFiles.track_options),
     script:
         "../scripts/read_ins.py"
@@ -90,7 +90,7 @@ rule export_track:
         runtime=minutes(10),
     params:
         **calls("thalweg.ingest.ppk.exports:write_track"),
-        name=section("campaign", "title"),
+        name=TITLE,
     script:
         "../scripts/call.py"
 
@@ -123,7 +123,8 @@ rule read_reference:
         mem_mb=memory(2000, 30),
         runtime=minutes(10, 60),
     params:
-        campaign=identity("origin", "crs"),
+        frame=FRAME,
+        crs=CRS,
     script:
         "../scripts/read_reference.py"
 

@@ -59,9 +59,9 @@ rule adjust_strips:
         filters=section("filters"),
         orientation=section("orientation"),
         strips=section("strips"),
-        crs=section("campaign", "crs"),
-        title=section("campaign", "title"),
-        twin=of(CampaignFiles.is_twin),
+        crs=CRS,
+        title=TITLE,
+        twin=TWIN,
     script:
         "../scripts/adjust_strips.py"
 
@@ -106,7 +106,7 @@ rule export_map:
         runtime=minutes(10, 60),
     params:
         **calls("thalweg.lidar.cloud:export_map"),
-        crs=section("campaign", "crs"),
+        crs=CRS,
     script:
         "../scripts/call.py"
 
@@ -235,9 +235,9 @@ rule viewer_page:
         runtime=minutes(10),
     params:
         **calls("thalweg.figures.viewer.page:write_survey_viewer"),
-        title=section("campaign", "title"),
+        title=TITLE,
         names=of(CampaignFiles.page_names),
-        twin=of(CampaignFiles.is_twin),
-        crs=section("campaign", "crs"),
+        twin=TWIN,
+        crs=CRS,
     script:
         "../scripts/call.py"

@@ -16,7 +16,7 @@ rule build_trajectory:
         mem_mb=memory(1500),
         runtime=minutes(10),
     params:
-        campaign=identity("origin"),
+        frame=FRAME,
         orientation=section("orientation"),
         stated=of(CampaignFiles.stated_positions),
         ins=section("ins"),
@@ -56,7 +56,7 @@ rule start_camera:
         mem_mb=memory(1500),
         runtime=minutes(10),
     params:
-        campaign=identity("id"),
+        run=RUN,
         folders=of(CampaignFiles.interior_folders),
     script:
         "../scripts/start_camera.py"
@@ -78,7 +78,7 @@ rule mask_images:
         mem_mb=memory(3000),
         runtime=minutes(60),
     params:
-        campaign=identity("seed"),
+        seed=SEED,
         options=section("images", "masks"),
         folders=of(CampaignFiles.interior_folders),
         cameras=section("images", "mapping", "cameras"),
@@ -195,7 +195,7 @@ rule fuse_trajectory:
         runtime=minutes(30),
     params:
         images_hold_positions=of(CampaignFiles.images_hold_positions),
-        campaign=identity("origin"),
+        frame=FRAME,
         fused=section("fused"),
         orientation=section("orientation"),
         ins=section("ins"),
@@ -221,7 +221,8 @@ rule measure_control_points:
         mem_mb=memory(2600),
         runtime=minutes(30),
     params:
-        campaign=identity("origin", "crs"),
+        frame=FRAME,
+        crs=CRS,
         options=section("images", "control"),
     script:
         "../scripts/measure_control_points.py"
@@ -252,7 +253,9 @@ rule adjust_images:
         mem_mb=memory(2900, 100),
         runtime=minutes(60),
     params:
-        campaign=identity("id", "origin", "crs"),
+        run=RUN,
+        frame=FRAME,
+        crs=CRS,
         adjustment=section("images", "adjustment"),
         control=section("images", "control"),
         folders=of(CampaignFiles.interior_folders),
@@ -275,7 +278,8 @@ rule import_orientations:
         mem_mb=memory(2000),
         runtime=minutes(20),
     params:
-        campaign=identity("id", "origin", "crs"),
+        run=RUN,
+        crs=CRS,
         finished=section("images", "finished"),
     script:
         "../scripts/import_orientations.py"
@@ -301,7 +305,7 @@ rule time_images:
         mem_mb=memory(2600),
         runtime=minutes(30),
     params:
-        campaign=identity("origin"),
+        frame=FRAME,
         source=of(CampaignFiles.position_source),
         stated=of(CampaignFiles.stated_positions),
         options=of(CampaignFiles.clock_options),

@@ -16,7 +16,7 @@ rule calibrate_rig:
         mem_mb=memory(2000),
         runtime=minutes(20, 60),
     params:
-        campaign=identity("id"),
+        run=RUN,
         rig=of(CampaignFiles.rig_views),
     script:
         "../scripts/calibrate_rig.py"

@@ -10,7 +10,7 @@ rule simulate_scene:
         mem_mb=memory(1500),
         runtime=minutes(10),
     params:
-        campaign=identity("origin", "seed"),
+        seed=SEED,
         twin=of(CampaignFiles.twin_parts, "scene"),
     script:
         "../scripts/simulate_scene.py"
@@ -26,8 +26,8 @@ rule simulate_voyage:
     params:
         **calls("thalweg_lab.voyage.truth:simulate_voyage"),
         config=of(CampaignFiles.twin_parts, "scene", "boat"),
-        seed=section("campaign", "seed"),
-        frame=section("campaign", "origin"),
+        seed=SEED,
+        frame=FRAME,
     script:
         "../scripts/call.py"
 
@@ -42,7 +42,7 @@ rule simulate_mounts:
         mem_mb=memory(1500),
         runtime=minutes(10),
     params:
-        campaign=identity("seed"),
+        seed=SEED,
         twin=of(CampaignFiles.twin_parts, "effects"),
         mounts=of(CampaignFiles.mounts, "lidar", "camera", "antenna", "echo_sounder"),
     script:
@@ -64,8 +64,8 @@ rule simulate_time_lapse_part:
         **calls("thalweg_lab.time_lapse.record:draw_images"),
         config=of(CampaignFiles.twin_parts, "scene", "boat", "camera", "lidar"),
         settings=section("twin", "time_lapse"),
-        seed=section("campaign", "seed"),
-        frame=section("campaign", "origin"),
+        seed=SEED,
+        frame=FRAME,
         part=lambda wildcards: int(wildcards.part),
         parts=of(laboratory.n_image_parts),
     script:
@@ -88,7 +88,8 @@ rule simulate_time_lapse:
         mem_mb=memory(3000),
         runtime=minutes(600),
     params:
-        campaign=identity("origin", "seed"),
+        frame=FRAME,
+        seed=SEED,
         twin=of(CampaignFiles.twin_parts, "scene", "boat", "camera", "lidar"),
         time_lapse=section("twin", "time_lapse"),
     script:
@@ -108,7 +109,7 @@ rule simulate_rig_field:
         **calls("thalweg_lab.dual_fisheye.record:simulate_rig_field"),
         config=of(CampaignFiles.twin_parts),
         settings=section("twin", "dual_fisheye"),
-        seed=section("campaign", "seed"),
+        seed=SEED,
     script:
         "../scripts/call.py"
 
@@ -130,8 +131,8 @@ rule simulate_dual_fisheye:
         **calls("thalweg_lab.dual_fisheye.record:simulate_dual_fisheye"),
         config=of(CampaignFiles.twin_parts, "scene", "boat", "lidar", "effects"),
         settings=section("twin", "dual_fisheye"),
-        seed=section("campaign", "seed"),
-        frame=section("campaign", "origin"),
+        seed=SEED,
+        frame=FRAME,
         rig=section("rig"),
         device=of(laboratory.rig_device),
     script:
@@ -152,7 +153,8 @@ rule simulate_lidar:
         mem_mb=memory(3000),
         runtime=minutes(60),
     params:
-        campaign=identity("origin", "seed"),
+        frame=FRAME,
+        seed=SEED,
         twin=of(CampaignFiles.twin_parts, "scene", "boat", "lidar", "effects"),
     script:
         "../scripts/simulate_lidar.py"
@@ -168,7 +170,8 @@ rule simulate_ins:
         mem_mb=memory(1500),
         runtime=minutes(10),
     params:
-        campaign=identity("origin", "seed"),
+        frame=FRAME,
+        seed=SEED,
         twin=of(CampaignFiles.twin_parts, "scene", "boat", "ins", "effects"),
     script:
         "../scripts/simulate_ins.py"
@@ -188,7 +191,8 @@ rule simulate_gnss:
         mem_mb=memory(1500),
         runtime=minutes(10),
     params:
-        campaign=identity("origin", "seed"),
+        frame=FRAME,
+        seed=SEED,
         twin=of(CampaignFiles.twin_parts, "scene", "boat", "gnss", "effects"),
     script:
         "../scripts/simulate_gnss.py"
@@ -210,8 +214,8 @@ rule simulate_raw_gnss:
     params:
         **calls("thalweg_lab.instruments.raw_gnss:simulate_raw_gnss"),
         config=of(CampaignFiles.twin_parts, "scene", "boat", "gnss"),
-        seed=section("campaign", "seed"),
-        frame=section("campaign", "origin"),
+        seed=SEED,
+        frame=FRAME,
     script:
         "../scripts/call.py"
 
@@ -229,7 +233,8 @@ rule simulate_echo:
         mem_mb=memory(1500),
         runtime=minutes(10),
     params:
-        campaign=identity("origin", "seed"),
+        frame=FRAME,
+        seed=SEED,
         twin=of(CampaignFiles.twin_parts, "scene", "boat", "echo", "effects"),
     script:
         "../scripts/simulate_echo.py"
@@ -248,9 +253,9 @@ rule simulate_bed_survey:
     params:
         **calls("thalweg_lab.instruments.bed:simulate_bed_survey"),
         config=of(CampaignFiles.twin_parts, "scene", "boat", "echo"),
-        seed=section("campaign", "seed"),
-        frame=section("campaign", "origin"),
-        crs=section("campaign", "crs"),
+        seed=SEED,
+        frame=FRAME,
+        crs=CRS,
     script:
         "../scripts/call.py"
 
@@ -272,9 +277,9 @@ rule simulate_tls:
     params:
         **calls("thalweg_lab.instruments.tls:simulate_tls"),
         config=of(CampaignFiles.twin_parts, "scene", "tls"),
-        seed=section("campaign", "seed"),
-        frame=section("campaign", "origin"),
-        crs=section("campaign", "crs"),
+        seed=SEED,
+        frame=FRAME,
+        crs=CRS,
     script:
         "../scripts/call.py"
 
@@ -293,8 +298,8 @@ rule simulate_uav:
     params:
         **calls("thalweg_lab.instruments.uav:simulate_uav"),
         config=of(CampaignFiles.twin_parts, "scene", "uav"),
-        seed=section("campaign", "seed"),
-        frame=section("campaign", "origin"),
-        crs=section("campaign", "crs"),
+        seed=SEED,
+        frame=FRAME,
+        crs=CRS,
     script:
         "../scripts/call.py"

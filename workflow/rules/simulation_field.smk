@@ -14,8 +14,8 @@ rule simulate_field:
     params:
         **calls("thalweg_lab.yard_records:simulate_field"),
         config=of(CampaignFiles.twin_parts),
-        seed=section("campaign", "seed"),
-        frame=section("campaign", "origin"),
+        seed=SEED,
+        frame=FRAME,
     script:
         "../scripts/call.py"
 
@@ -32,7 +32,8 @@ rule simulate_positions:
         mem_mb=memory(3000),
         runtime=minutes(20),
     params:
-        campaign=identity("origin", "seed"),
+        frame=FRAME,
+        seed=SEED,
         twin=of(CampaignFiles.twin_parts, "lidar", "effects"),
     script:
         "../scripts/simulate_positions.py"
@@ -56,7 +57,7 @@ rule simulate_field_images:
         runtime=minutes(60),
     params:
         kind=lambda wildcards: wildcards.field_images.replace("position", "positions"),
-        campaign=identity("seed"),
+        seed=SEED,
         twin=of(CampaignFiles.twin_parts, "camera", "effects"),
     script:
         "../scripts/simulate_field_images.py"
@@ -75,7 +76,7 @@ rule simulate_display:
     params:
         **calls("thalweg_lab.instruments.display_photos:simulate_display"),
         config=of(CampaignFiles.twin_parts, "camera"),
-        seed=section("campaign", "seed"),
+        seed=SEED,
     script:
         "../scripts/call.py"
 
@@ -92,7 +93,7 @@ rule simulate_synthetic_view:
         mem_mb=memory(3000),
         runtime=minutes(10),
     params:
-        campaign=identity("seed"),
+        seed=SEED,
         twin=of(CampaignFiles.twin_parts, "camera", "lidar", "effects"),
     script:
         "../scripts/simulate_synthetic_view.py"

@@ -16,7 +16,7 @@ rule simulate_sheet_station:
     params:
         **calls("thalweg_lab.tank.camera_field:record_camera_marks"),
         twin=of(CampaignFiles.twin_parts, "light_sheet"),
-        seed=section("campaign", "seed"),
+        seed=SEED,
     script:
         "../scripts/call.py"
 
@@ -37,9 +37,9 @@ rule simulate_sheet_grid:
     params:
         **calls("thalweg_lab.tank.series:record_series"),
         twin=of(CampaignFiles.twin_parts, "light_sheet"),
-        seed=section("campaign", "seed"),
+        seed=SEED,
         series="calibration",
-        frame=section("campaign", "origin"),
+        frame=FRAME,
         folder="results/{campaign}/simulation/logs/light_sheet/calibration",
     script:
         "../scripts/call.py"
@@ -58,9 +58,9 @@ rule simulate_sheet_panels:
     params:
         **calls("thalweg_lab.tank.series:record_series"),
         twin=of(CampaignFiles.twin_parts, "light_sheet"),
-        seed=section("campaign", "seed"),
+        seed=SEED,
         series="panels",
-        frame=section("campaign", "origin"),
+        frame=FRAME,
         folder="results/{campaign}/simulation/logs/light_sheet/panels",
     script:
         "../scripts/call.py"

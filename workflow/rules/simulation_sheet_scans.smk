@@ -19,9 +19,9 @@ rule simulate_sheet_scan:
     params:
         **calls("thalweg_lab.tank.series:record_scan"),
         twin=of(CampaignFiles.twin_parts, "light_sheet"),
-        seed=section("campaign", "seed"),
+        seed=SEED,
         name=lambda wildcards: wildcards.scan,
-        frame=section("campaign", "origin"),
+        frame=FRAME,
         folder="results/{campaign}/simulation/logs/light_sheet/{scan}",
     script:
         "../scripts/call.py"
@@ -37,7 +37,8 @@ rule simulate_sheet_strip:
         mem_mb=memory(3000),
         runtime=minutes(20),
     params:
-        campaign=identity("origin", "seed"),
+        frame=FRAME,
+        seed=SEED,
         twin=of(CampaignFiles.twin_parts, "boat", "scene", "effects"),
         strip=section("twin", "light_sheet_strip"),
         mount=section("light_sheet", "mount"),

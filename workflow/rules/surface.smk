@@ -14,7 +14,8 @@ rule mesh_reference:
         mem_mb=memory(3000, 60),
         runtime=minutes(10, 60),
     params:
-        campaign=identity("origin", "crs"),
+        origin=FRAME,
+        crs=CRS,
         reference=of(CampaignFiles.reference_surface),
         area=section("accuracy", "area"),
     script:

@@ -15,7 +15,7 @@ rule align_streams:
         mem_mb=memory(1500),
         runtime=minutes(10),
     params:
-        campaign=identity("origin"),
+        frame=FRAME,
         source=of(CampaignFiles.position_source),
     script:
         "../scripts/align_streams.py"
@@ -40,7 +40,7 @@ rule synchronise_camera:
         mem_mb=memory(2000),
         runtime=minutes(20),
     params:
-        campaign=identity("origin"),
+        frame=FRAME,
         options=of(CampaignFiles.clock_options),
     script:
         "../scripts/synchronise_camera.py"

@@ -15,8 +15,9 @@ rule calibrate_sheet_camera:
         mem_mb=memory(2000),
         runtime=minutes(20),
     params:
-        campaign=identity("id", "origin"),
-        twin=of(CampaignFiles.is_twin),
+        run=RUN,
+        frame=FRAME,
+        twin=TWIN,
     script:
         "../scripts/calibrate_sheet_camera.py"
 
@@ -35,9 +36,9 @@ rule orient_sheet_camera:
         mem_mb=memory(2000),
         runtime=minutes(20),
     params:
-        campaign=identity("id"),
+        run=RUN,
         calibration=section("light_sheet", "calibration"),
-        twin=of(CampaignFiles.is_twin),
+        twin=TWIN,
     script:
         "../scripts/orient_sheet_camera.py"
 
@@ -76,10 +77,10 @@ rule calibrate_light_sheet:
         mem_mb=memory(2000),
         runtime=minutes(20),
     params:
-        campaign=identity("id"),
+        run=RUN,
         calibration=section("light_sheet", "calibration"),
         water=section("light_sheet", "water"),
-        twin=of(CampaignFiles.is_twin),
+        twin=TWIN,
     script:
         "../scripts/calibrate_light_sheet.py"
 

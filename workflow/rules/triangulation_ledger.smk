@@ -34,7 +34,7 @@ rule light_sheet_ledger:
         folder=lambda wildcards: f"results/{wildcards.campaign}",
         studies=laboratory.ledger_studies(ROOT),
         light_sheet=section("twin", "light_sheet"),
-        campaign=identity("title"),
-        twin=of(CampaignFiles.is_twin),
+        title=TITLE,
+        twin=TWIN,
     script:
         "../scripts/light_sheet_ledger.py"

@@ -98,7 +98,7 @@ rule locate_bed_strip:
         mem_mb=memory(2000),
         runtime=minutes(20),
     params:
-        campaign=identity("origin"),
+        frame=FRAME,
         mount=section("light_sheet", "mount"),
         water=section("light_sheet", "water"),
         chain=of(CampaignFiles.best_chain),

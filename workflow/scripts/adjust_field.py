@@ -2,7 +2,6 @@
 
 import logging
 from pathlib import Path
-from typing import Any
 
 from thalweg.calibration import MARKS, interior_calibration
 from thalweg.calibration.field import (
@@ -26,7 +25,8 @@ def main(
     facts: Path,
     residuals: Path,
     camera: Path,
-    campaign: dict[str, Any],
+    run: str,
+    frame: LocalFrame,
     model: str,
     focal_px: float | None,
 ) -> None:
@@ -37,7 +37,7 @@ def main(
         name: starting_camera(table, description, name, tuple(size), model=model, focal_px=focal_px)
         for name, size in meta["sizes_px"].items()
     }
-    found = measure(table, cameras, description, LocalFrame(**campaign["origin"]))
+    found = measure(table, cameras, description, frame)
     for note in found.notes:
         log.warning(note)
     write_points(points, found.points, point_table(description, found))
@@ -45,7 +45,7 @@ def main(
     found.network.residuals.to_csv(residuals, index=False, float_format="%.5f")
     (reference,) = found.network.cameras.values()
     source = Source(
-        run=str(campaign["id"]),
+        run=run,
         method="self-calibrating bundle adjustment of the field",
         observations=2 * found.network.report["marks"],
         sigma0=found.network.report["sigma0"],

@@ -1,13 +1,11 @@
 """Block of images, control points and their marks -> exterior and interior orientation with covariances."""
 
-import json
 import logging
 from pathlib import Path
-from typing import Any
 
 import pandas as pd
 
-from thalweg.core import LocalFrame
+from thalweg.core import LocalFrame, write_json
 from thalweg.core.calibration import Source
 from thalweg.images.bundle import (
     Boat,
@@ -29,7 +27,7 @@ def main(
     block: Path,
     pieces: Path,
     sfm_images: Path,
-    predictions: Path,
+    predictions: ImagePoses,
     control_points: list[Path],
     marks: Path,
     interior: list[Path],
@@ -42,7 +40,9 @@ def main(
     control_report: Path,
     images_report: Path,
     facts: Path,
-    campaign: dict[str, Any],
+    run: str,
+    frame: LocalFrame,
+    crs: str,
     adjustment: BlockAdjustment,
     control: ControlSettings,
     folders: list[str],
@@ -54,9 +54,9 @@ def main(
     blocks, given = read_pieces(block, pieces), read_interiors(interior, folders, interiors)
     found = adjust_pieces(
         blocks,
-        ImagePoses.read(predictions),
-        frame=LocalFrame(**campaign["origin"]),
-        crs=campaign["crs"],
+        predictions,
+        frame=frame,
+        crs=crs,
         adjustment=adjustment,
         control=control,
         control_points=control_points,
@@ -68,7 +68,7 @@ def main(
     )
     found.poses.write(poses)
     source = Source(
-        run=str(campaign["id"]),
+        run=run,
         method="block adjustment of the survey's images",
         observations=found.facts["observations"],
         sigma0=found.facts["sigma0"],
@@ -76,7 +76,7 @@ def main(
     write_cameras(camera, cameras, found.oriented, source)
     for table, path in zip(pieces_tables(found), (images_report, control_report), strict=True):
         table.to_csv(path, index=False)
-    facts.write_text(json.dumps(found.facts, indent=2) + "\n")
+    write_json(facts, found.facts)
     for line in summary_text(found.facts).splitlines():
         log.info(line)
 

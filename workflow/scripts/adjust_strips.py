@@ -1,13 +1,12 @@
 """Lidar log and best trajectory -> trajectory and mount that surfaces seen again have corrected, a page."""
 
-import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from thalweg.calibration import read_mounts, write_mounts
-from thalweg.core import Trajectory, read_chains, read_table
+from thalweg.core import Trajectory, read_chains, read_json, read_table
 from thalweg.figures.survey import strips_page
 from thalweg.ingest import GNSS_POSITION, LidarClock, LidarOptions
 from thalweg.ingest.registry import lidar_reader
@@ -40,7 +39,7 @@ def main(
     title: str,
     twin: bool,
 ) -> None:
-    poses, timed = Trajectory.read(trajectory), LidarClock.from_dict(json.loads(clock.read_text()))
+    poses, timed = Trajectory.read(trajectory), LidarClock.from_dict(read_json(clock))
     sensors = read_mounts(mounts)
     if errors.suffix == ".npz":
         chains = read_chains(errors)

@@ -1,7 +1,6 @@
 """Integrity reports of all streams, INS states and positions -> table of the common time axis."""
 
 from pathlib import Path
-from typing import Any
 
 from thalweg.calibration import read_mounts
 from thalweg.clocks import Lag, common_span, ins_position_lag, stream_table
@@ -13,11 +12,11 @@ from thalweg.workflow import run_job
 def main(
     *,
     reports: list[Path],
-    states: list[Path],
+    states: Path | None,
     positions: Path,
     mounts: Path,
     streams: Path,
-    campaign: dict[str, Any],
+    frame: LocalFrame,
     source: str,
 ) -> None:
     found = [IntegrityReport.read(path) for path in reports]
@@ -26,9 +25,9 @@ def main(
     lags: dict[str, tuple[str, Lag]] = {}
     if states and source not in ("ins", "sbet"):  # whose positions are those of the INS itself
         lag = ins_position_lag(
-            read_table(states[0], INS_STATE)[0],
+            read_table(states, INS_STATE)[0],
             read_table(positions, GNSS_POSITION)[0],
-            LocalFrame(**campaign["origin"]),
+            frame,
             lever_ics_antenna_m=read_mounts(mounts)["antenna"]["lever_ics_m"],
         )
         lags["positions"] = ("ins", lag)

@@ -12,9 +12,9 @@ from thalweg.workflow import run_job
 def main(
     *,
     mount: Path,
-    camera_lidar: list[Path],
+    camera_lidar: Path | None,
     boat: Path,
-    campaign: dict[str, Any],
+    run: str,
     echo_sounder: dict[str, Any] | None,
     twin: bool,
 ) -> None:
@@ -22,10 +22,10 @@ def main(
     place = None
     if echo_sounder is not None:
         place = EchoPlace.ruled_from_ins(**echo_sounder)
-    relative = read_calibration(camera_lidar[0]).pose("camera_lidar") if camera_lidar else None
+    relative = read_calibration(camera_lidar).pose("camera_lidar") if camera_lidar else None
     methods = ("cones from the moving boat", *(["cones and camera"] if camera_lidar else []), "ruler")
     source = Source(
-        run=str(campaign["id"]),
+        run=run,
         method=", ".join(methods),
         observations=int(found.facts["points"]),
         sigma0=float(found.facts["sigma0"]),

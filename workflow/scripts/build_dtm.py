@@ -9,7 +9,7 @@ import numpy as np
 from pyproj import CRS
 
 from thalweg.bathymetry import FlowLine
-from thalweg.core import ArrayF, LocalFrame, Trajectory
+from thalweg.core import ArrayF, LocalFrame, Trajectory, write_json
 from thalweg.fusion import (
     Cloud,
     Source,
@@ -31,9 +31,9 @@ def main(
     *,
     bed: Path,
     banks: Path,
-    line: Path,
+    line: FlowLine,
     points: list[Path],
-    trajectory: Path,
+    trajectory: Trajectory,
     errors: Path,
     surroundings: list[Path],
     geoid: list[Path],
@@ -41,17 +41,17 @@ def main(
     cloud: Path,
     facts: Path,
     fit: Path,
-    campaign: dict[str, Any],
+    frame: LocalFrame,
+    crs: CRS,
     fusion: Fusion,
 ) -> None:
-    frame, crs = LocalFrame(**campaign["origin"]), CRS.from_user_input(campaign["crs"])
-    river = read_river(FlowLine.read(line), banks, frame, crs)
+    river = read_river(line, banks, frame, crs)
     parts: dict[Source, Cloud] = {}
     found: dict[str, Any] = {}
     if points:
         parts[Source.LIDAR], found["ground"] = read_ground(
             points[0], frame, crs, fusion.ground, sigma_m=fusion.fit.sigma_m,
-            shore_m=river.shore_m(), trajectory=Trajectory.read(trajectory), decay=_decay(errors),
+            shore_m=river.shore_m(), trajectory=trajectory, decay=_decay(errors),
         )  # fmt: skip
     if surroundings and not points:
         parts[Source.SURROUNDINGS] = read_cloud(surroundings, frame, crs, sigma_m=fusion.fit.sigma_m)
@@ -68,7 +68,7 @@ def main(
     found["points"] = join_clouds(cloud, [(Source.BED, cloud_of_bed(bed, frame)), *parts.items()], frame)
     model = build_dtm(bed, parts, river.outline_m(), frame, fusion, geoid=geoid[0] if geoid else None)
     model.write(dtm)
-    facts.write_text(json.dumps(found | dtm_facts(model), indent=2) + "\n")
+    write_json(facts, found | dtm_facts(model))
 
 
 def _decay(errors: Path) -> Callable[[ArrayF], ArrayF]:

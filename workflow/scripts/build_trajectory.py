@@ -1,6 +1,5 @@
 """Antenna positions and INS states -> trajectory of the boat."""
 
-import json
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -8,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from thalweg.calibration import read_mounts
-from thalweg.core import LocalFrame, read_table
+from thalweg.core import LocalFrame, read_table, write_json
 from thalweg.ingest import GNSS_POSITION, INS_STATE
 from thalweg.navigation.ins_gnss import (
     build_trajectory,
@@ -26,12 +25,11 @@ def main(
     mounts: Path,
     trajectory: Path,
     summary: Path,
-    campaign: dict[str, Any],
+    frame: LocalFrame,
     orientation: dict[str, Any],
     stated: dict[str, Any],
     ins: dict[str, Any],
 ) -> None:
-    frame = LocalFrame(**campaign["origin"])
     attitude = {
         "max_attitude_gap_s": orientation["max_attitude_gap_s"],
         "sigma_attitude_rad": np.deg2rad([ins[f"sigma_{a}_deg"] for a in ("roll", "pitch", "heading")]),
@@ -60,7 +58,7 @@ def main(
             **{key: orientation[key] for key in ("accept_fixes", "max_gap_s", "interpolation")},
         )
     built.write(trajectory)
-    summary.write_text(json.dumps(asdict(what), indent=2) + "\n")
+    write_json(summary, asdict(what))
 
 
 if "snakemake" in globals():

@@ -29,14 +29,14 @@ def main(
     camera: list[Path],
     camera_lidar: Path,
     table: Path,
-    campaign: dict[str, Any],
+    run: str,
     mounts: dict[str, Any],
     lidar_options: dict[str, Any],
     lidar_accuracy: LidarAccuracy,
     board: dict[str, Any],
     settings: dict[str, Any],
 ) -> None:
-    run = str(campaign["id"])
+    run = run
     options = LidarOptions(**lidar_options)
     poses, lost = read_board_poses(images, scans, Checkerboard(**board), read_camera(camera[0]), options)
     result = calibrate_board(poses, nominal_orientation(mounts), lidar_accuracy, BoardSettings(**settings))

@@ -1,6 +1,5 @@
 """Soundings, trajectory and a surveyed bed -> place of the echo sounder on the boat."""
 
-import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -9,7 +8,7 @@ import numpy as np
 
 from thalweg.bathymetry import Sound
 from thalweg.calibration import echo_sounder as files, estimate_echo_sounder, read_mounts
-from thalweg.core import LocalFrame, Trajectory, read_table
+from thalweg.core import LocalFrame, Trajectory, read_json, read_table
 from thalweg.core.calibration import write_calibration
 from thalweg.ingest import DEPTH
 from thalweg.ingest.tracks import read_bed_survey
@@ -26,17 +25,19 @@ def main(
     bed: list[Path],
     echo_sounder: Path,
     report: Path,
-    campaign: dict[str, Any],
+    run: str,
+    frame: LocalFrame,
+    crs: str,
     settings: dict[str, Any],
     stated: EchoSounder,
     twin: bool,
 ) -> None:
     path, boat = Trajectory.read(trajectory), read_mounts(mounts)
-    survey = read_bed_survey(bed, LocalFrame(**campaign["origin"]), campaign["crs"])
+    survey = read_bed_survey(bed, frame, crs)
     t_gps_s, depth_m, counts = files.soundings(read_table(depths, DEPTH)[0], path)
     # The soundings of the survey are corrected for both, so those of the calibration are too: a place that
     # held the error of the speed of sound would be corrected for it twice.
-    logged_c = json.loads(integrity.read_text())["details"].get("water_temperature_c")
+    logged_c = read_json(integrity)["details"].get("water_temperature_c")
     depth_m, t_gps_s = depth_m * Sound.of(stated, logged_c).factor, t_gps_s - stated.latency_s
     ruler_m, cov_m2 = files.ruler_of(boat["echo_sounder"])
     places_m = files.places_of(path, t_gps_s, depth_m, ruler_m)
@@ -52,7 +53,7 @@ def main(
     )
     files.check_fit(found)
     found = replace(found, lag_s=found.lag_s - stated.latency_s)  # against the stamps of the log
-    write_calibration(echo_sounder, files.echo_calibration(found, run=str(campaign["id"]), twin=twin))
+    write_calibration(echo_sounder, files.echo_calibration(found, run=run, twin=twin))
     files.write_report(report, found, ruler_m, cov_m2, counts)
 
 

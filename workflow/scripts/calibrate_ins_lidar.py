@@ -1,6 +1,5 @@
 """Lidar log, trajectory and cones of a calibration run -> mount of the lidar on the boat."""
 
-import json
 import logging
 from pathlib import Path
 from typing import Any
@@ -10,7 +9,7 @@ import numpy as np
 from thalweg.calibration import read_mounts
 from thalweg.calibration.field import read_field, read_place, read_points
 from thalweg.calibration.ins_lidar import START, InsLidarSettings, NearCones, calibrate, file as files
-from thalweg.core import Rigid, Trajectory
+from thalweg.core import Rigid, Trajectory, read_json
 from thalweg.ingest import LidarClock, LidarOptions
 from thalweg.ingest.registry import lidar_reader
 from thalweg.lidar import georeference_points
@@ -35,7 +34,7 @@ def main(
     passes: Path,
     before: Path,
     after: Path,
-    campaign: dict[str, Any],
+    run: str,
     lidar_options: dict[str, Any],
     settings: dict[str, Any],
     antenna_position: str,
@@ -48,7 +47,7 @@ def main(
     if antenna is None and description.antenna is not None:
         log.warning(files.BLIND, description.antenna.marker)
     cones, refused = files.field_cones(description, known, form_sigma_m=how.form_sigma_m)
-    stamps = LidarClock.from_dict(json.loads(clock.read_text()))
+    stamps = LidarClock.from_dict(read_json(clock))
     start = Rigid(R=START.R, shift_m=START.shift_m)
     near = NearCones(trajectory=path, cones=cones, T_wcs_pcs=place, reach_m=how.search.reach_m)
     for block in lidar_reader(lidar, LidarOptions(**lidar_options)).points(stamps):
@@ -66,7 +65,7 @@ def main(
         log.warning("cone %s is left out: %s", name, why)
     files.write_mount_result(mount, found, antenna, lever)
     files.write_tables(found, passes=passes, before=before, after=after)
-    files.write_calibrated(ins_lidar, found, str(campaign["id"]))
+    files.write_calibrated(ins_lidar, found, run)
 
 
 if "snakemake" in globals():

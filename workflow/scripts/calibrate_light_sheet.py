@@ -1,10 +1,9 @@
 """Line points on the grid object and the oriented camera -> the calibrated light sheet."""
 
-import json
 from pathlib import Path
 from typing import Any
 
-from thalweg.core import read_table
+from thalweg.core import read_table, write_json
 from thalweg.core.calibration import Source
 from thalweg.lightsheet.calibration import CalibrationSettings, calibrate_sheet, read_grid, report as tables
 from thalweg.lightsheet.lines import LineFlag
@@ -23,7 +22,7 @@ def main(
     parameters: Path,
     residuals: Path,
     pairs: Path,
-    campaign: dict[str, Any],
+    run: str,
     calibration: dict[str, Any],
     water: dict[str, Any],
     twin: bool,
@@ -43,13 +42,13 @@ def main(
     start, medium = in_measured_water(read_sensor(camera), WaterState(**water))
     found = calibrate_sheet(start, points, described, settings)
     method = f"grid object in {len(described.levels)} levels (P3 2.4, P4 4.3)"
-    source = Source(run=str(campaign["id"]), method=method, twin=twin)
+    source = Source(run=run, method=method, twin=twin)
     write_sensor(sensor, found.sensor, source=source, title="Light-sheet sensor, calibrated")
     tables.parameter_table(found).to_csv(parameters, index=False)
     tables.residual_table(found).to_csv(residuals, index=False, float_format="%.5f")
     tables.pair_table(found).to_csv(pairs, index=False, float_format="%.5f")
     told = tables.calibration_report(found) | {"water": medium}
-    report.write_text(json.dumps(told, indent=2) + "\n")
+    write_json(report, told)
 
 
 if "snakemake" in globals():

@@ -1,9 +1,7 @@
 """Pictures of a field around the rig -> both interiors and the relative orientation, with one covariance."""
 
-import json
 import logging
 from pathlib import Path
-from typing import Any
 
 from thalweg.calibration import (
     calibrate_rig,
@@ -13,6 +11,7 @@ from thalweg.calibration import (
     rig_calibration_file,
 )
 from thalweg.calibration.field import read_field, read_points
+from thalweg.core import write_json
 from thalweg.core.calibration import Source, write_calibration
 from thalweg.ingest.photos import list_images
 from thalweg.settings.sections import Rig
@@ -28,7 +27,7 @@ def main(
     residuals: Path,
     exposures: Path,
     report: Path,
-    campaign: dict[str, Any],
+    run: str,
     rig: Rig,
 ) -> None:
     check_rig(rig)
@@ -40,7 +39,7 @@ def main(
     for row in found.rejected.itertuples():
         logging.getLogger("thalweg").warning("%s %s: %s", row.what, row.name, row.reason)
     source = Source(
-        run=str(campaign["id"]),
+        run=run,
         method="adjustment of both lenses on a field of marks",
         observations=2 * int(found.residuals["used"].sum()),
         sigma0=found.report["sigma0"],
@@ -55,7 +54,7 @@ def main(
         "exposures_sigma0": found.sigma0,
         "rejected": found.rejected.to_dict("records"),
     }
-    report.write_text(json.dumps(facts, indent=2) + "\n")
+    write_json(report, facts)
 
 
 if "snakemake" in globals():

@@ -3,7 +3,6 @@
 import json
 import logging
 from pathlib import Path
-from typing import Any
 
 from thalweg.calibration import interior_calibration
 from thalweg.calibration.field import read_field
@@ -22,22 +21,19 @@ def main(
     camera: Path,
     report: Path,
     residuals: Path,
-    campaign: dict[str, Any],
+    run: str,
+    frame: LocalFrame,
     twin: bool,
 ) -> None:
     nominal = read_sensor(design).camera
     found = calibrate_lens(
-        read_lens_marks(marks, nominal.size_px),
-        nominal,
-        read_field(field),
-        LocalFrame(**campaign["origin"]),
-        where=marks.name,
+        read_lens_marks(marks, nominal.size_px), nominal, read_field(field), frame, where=marks.name
     )
     for note in found.notes:
         logging.getLogger("thalweg").warning(note)
     facts = found.measured.network.report
     source = Source(
-        run=str(campaign["id"]),
+        run=run,
         method="self-calibrating bundle adjustment of a marker field in air",
         observations=2 * facts["marks"],
         sigma0=facts["sigma0"],

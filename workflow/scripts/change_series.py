@@ -1,11 +1,9 @@
 """All epochs of a bank -> trend and step of each core point, epochs that jump and return."""
 
-import json
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
-from thalweg.core import LocalFrame, read_table, write_table
+from thalweg.core import LocalFrame, read_table, write_json, write_table
 from thalweg.deformation import (
     CORE_POINTS,
     HEIGHTS,
@@ -28,10 +26,11 @@ def main(
     heights: Path,
     jumps: Path,
     retreat: Path,
-    campaign: dict[str, Any],
+    frame: LocalFrame,
+    crs: str,
     deformation: Deformation,
 ) -> None:
-    settings = with_drawn_areas(deformation, LocalFrame(**campaign["origin"]), campaign["crs"])
+    settings = with_drawn_areas(deformation, frame, crs)
     read = [read_epoch(path.parent) for path in epochs]
     found = series_of_epochs(read_table(core_points, CORE_POINTS)[0], read, settings)
     write_table(series, fit_series(found.years, found.height_m, found.sigma_m), SERIES)
@@ -46,7 +45,7 @@ def main(
         for jump in find_jumps(found.raw_m, found.sigma_apart_m, limit=2.0)
     ]
     facts = {"epochs": told, "closure": asdict(found.misclosure), "network": found.network.facts}
-    jumps.write_text(json.dumps(facts, indent=2) + "\n")
+    write_json(jumps, facts)
 
 
 if "snakemake" in globals():

@@ -12,18 +12,16 @@ from thalweg.workflow import run_job
 def main(
     *,
     points: list[Path],
-    poses: Path,
+    poses: ImagePoses,
     camera: Path,
     images: list[Path],
-    masks: list[Path],
+    masks: Path | None,
     table: Path,
     curves: Path,
     colour: Colour,
 ) -> None:
-    found = ImagePoses.read(poses)
-    folder = masks[0] if masks else None
-    named = {name: mask for name in found.images if (mask := find_mask(name, folder)) is not None}
-    optima, tried = check_colours(points[0], found, named_once(images), named, read_camera(camera), colour)
+    named = {name: mask for name in poses.images if (mask := find_mask(name, masks)) is not None}
+    optima, tried = check_colours(points[0], poses, named_once(images), named, read_camera(camera), colour)
     optima.to_csv(table, index=False)
     tried.to_csv(curves, index=False)
 

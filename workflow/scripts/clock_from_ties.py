@@ -1,13 +1,12 @@
 """Ties of the camera's clock to GPS time, or pulses of its trigger -> its clock, times of images."""
 
-import json
 import logging
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from thalweg.clocks import TIE_COLUMNS, clock_from_ties, read_number_columns, ties as times
-from thalweg.core import InputError, read_table, write_table
+from thalweg.core import InputError, read_json, read_table, write_table
 from thalweg.ingest.photos import IMAGE_STAMPS
 from thalweg.workflow import run_job
 
@@ -19,7 +18,7 @@ def main(
     ties: list[Path],
     pulses: list[Path],
     stamps: Path,
-    stability: list[Path],
+    stability: Path | None,
     clock: Path,
     images: Path,
     options: dict[str, Any],
@@ -36,7 +35,7 @@ def main(
         )
     if ties:
         found = read_number_columns(ties[0], TIE_COLUMNS)
-        tested = json.loads(stability[0].read_text()) if stability else None
+        tested = read_json(stability) if stability else None
         jitter_s, words = times.jitter_of_ties(jitter_s, tested)
         model = clock_from_ties(*found, jitter_s=jitter_s)
         model = replace(model, notes=(*model.notes, words))

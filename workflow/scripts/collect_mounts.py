@@ -8,8 +8,8 @@ from thalweg.core.calibration import read_calibration
 from thalweg.workflow import run_job
 
 
-def main(*, calibration: list[Path], mounts: Path, section: dict[str, Any], rig: dict[str, Any]) -> None:
-    found = read_calibration(calibration[0]) if calibration else None
+def main(*, calibration: Path | None, mounts: Path, section: dict[str, Any], rig: dict[str, Any]) -> None:
+    found = read_calibration(calibration) if calibration else None
     places = resolve_mounts(section, found)
     if rig:
         places["camera"] = {**rig, "source": "section rig"}

@@ -13,12 +13,12 @@ from thalweg.workflow import run_job
 def main(
     *,
     points: list[Path],
-    poses: list[Path],
+    poses: ImagePoses | None,
     camera: list[Path],
     images: list[Path],
-    masks: list[Path],
+    masks: Path | None,
     rig_images: list[Path],
-    rig_poses: list[Path],
+    rig_poses: ImagePoses | None,
     rig_calibration: list[Path],
     coloured: Path,
     counts: Path,
@@ -27,16 +27,13 @@ def main(
     rig: Rig,
 ) -> None:
     sources: list[Photographs] = []
-    if poses:
-        found = ImagePoses.read(poses[0])
-        folder = masks[0] if masks else None
-        named = {name: mask for name in found.images if (mask := find_mask(name, folder)) is not None}
+    if poses is not None:
+        named = {name: mask for name in poses.images if (mask := find_mask(name, masks)) is not None}
         sources.append(
-            Photographs(poses=found, images=named_once(images), masks=named, camera=read_camera(camera[0]))
+            Photographs(poses=poses, images=named_once(images), masks=named, camera=read_camera(camera[0]))
         )
-    if rig_poses:
-        placed = ImagePoses.read(rig_poses[0])
-        sources += rig_photographs(named_once(rig_images), placed, read_rig(rig_calibration[0], rig))
+    if rig_poses is not None:
+        sources += rig_photographs(named_once(rig_images), rig_poses, read_rig(rig_calibration[0], rig))
     result = colour_cloud(points[0], coloured, sources, colour)
     result.counts.to_csv(counts, index=False)
     result.gains.to_csv(gains, index=False)

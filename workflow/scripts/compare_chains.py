@@ -1,6 +1,5 @@
 """Clouds and trajectories of all chains -> their numbers side by side, by range, and where curves cross."""
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +15,7 @@ from thalweg.accuracy import (
     range_facts,
 )
 from thalweg.budgets import read_budget, totals_mm
-from thalweg.core import Trajectory, read_table
+from thalweg.core import Trajectory, read_table, write_json
 from thalweg.workflow import run_job
 
 
@@ -60,7 +59,7 @@ def main(
     ranges.to_csv(chains_by_range_csv, index=False, float_format="%.9g")
     said = range_facts(ranges) if by_range else {}
     said["published_crossing_m"] = crossings_m(at_m, published["ins"], published["camera"])
-    facts.write_text(json.dumps(said, indent=2) + "\n")
+    write_json(facts, said)
 
 
 if "snakemake" in globals():

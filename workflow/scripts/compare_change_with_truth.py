@@ -1,7 +1,6 @@
 """Changes and the twin's scenes -> how well measured and true changes agree."""
 
 from pathlib import Path
-from typing import Any
 
 import pandas as pd
 
@@ -27,7 +26,7 @@ def main(
     measures: Path,
     cores: Path,
     by_polygon: Path,
-    campaign: dict[str, Any],
+    frame: LocalFrame,
     deformation: Deformation,
 ) -> None:
     before, after = (Scene.read(path) for path in scenes)
@@ -42,13 +41,7 @@ def main(
         reach_m=deformation.reach_m,
     )
     more = judge_places(measured, read_table(places, POINTS)[0], deformation.core_spacing_m)
-    more += judge_differences(
-        read_difference(difference),
-        before,
-        after,
-        LocalFrame(**campaign["origin"]),
-        reach_m=deformation.reach_m,
-    )
+    more += judge_differences(read_difference(difference), before, after, frame, reach_m=deformation.reach_m)
     table = pd.concat([table, pd.DataFrame(more, columns=table.columns)])
     table.to_csv(measures, index=False)
     found = judge_polygons(

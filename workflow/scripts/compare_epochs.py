@@ -1,10 +1,8 @@
 """Two registered epochs -> distances with sigma, states, patches of change, volumes."""
 
-import json
 from pathlib import Path
-from typing import Any
 
-from thalweg.core import LocalFrame, read_table, write_table
+from thalweg.core import LocalFrame, read_table, write_json, write_table
 from thalweg.deformation import (
     CHANGES,
     CORE_POINTS,
@@ -40,22 +38,23 @@ def main(
     along: Path,
     retreat: Path,
     facts: Path,
-    campaign: dict[str, Any],
+    frame: LocalFrame,
+    seed: int,
     deformation: Deformation,
 ) -> None:
     before, after = (read_epoch(path.parent) for path in epochs)
     cores = read_table(core_points, CORE_POINTS)[0]
     moved = read_registration(registration, weights)
-    table, compared, found = compare_epochs(cores, before, after, moved, deformation, campaign["seed"])
+    table, compared, found = compare_epochs(cores, before, after, moved, deformation, seed)
     places = compared.pair.found
     seen = observe_visibility(places.cores_m, places.normals, places.n, (before, after), deformation)
     write_table(visibility, seen, VISIBILITY)
     table, connected = classify_changes(table, compared, seen, deformation)
     write_table(changes, table, CHANGES)
-    write_table(draws, draw_errors(compared, campaign["seed"]), DRAWS)
-    write_changes(cloud, table, LocalFrame(**campaign["origin"]))
+    write_table(draws, draw_errors(compared, seed), DRAWS)
+    write_changes(cloud, table, frame)
     connected.to_csv(patches, index=False)
-    sums, by_stretch = estimate_volumes(table, compared, deformation, campaign["seed"])
+    sums, by_stretch = estimate_volumes(table, compared, deformation, seed)
     sums.to_csv(volumes, index=False)
     by_stretch.to_csv(along, index=False)
     moved_lines = estimate_retreat(
@@ -67,7 +66,7 @@ def main(
     )
     moved_lines.to_csv(retreat, index=False)
     found |= {"notes": notes_of_pair(before, after, places.n, moved.facts)}
-    facts.write_text(json.dumps(found, indent=2) + "\n")
+    write_json(facts, found)
 
 
 if "snakemake" in globals():

@@ -1,12 +1,10 @@
 """Soundings, bed, banks and their truth -> errors of pings by depth, of bed and banks; reasons."""
 
-import json
 from pathlib import Path
-from typing import Any
 
 from thalweg.bathymetry import SOUNDINGS, Banks, FlowLine, WaterLevel
 from thalweg.calibration import echo_sounder
-from thalweg.core import LocalFrame, read_table
+from thalweg.core import LocalFrame, read_json, read_table
 from thalweg.ingest import DEPTH
 from thalweg.workflow import run_job
 from thalweg_lab.instruments import TRUE_SOUNDINGS
@@ -20,22 +18,17 @@ def main(
     pings: Path,
     bed: Path,
     banks: Path,
-    line: Path,
+    line: FlowLine,
     level: Path,
     scene: Path,
     riverbed: Path,
     errors: Path,
     reasons: Path,
-    campaign: dict[str, Any],
+    frame: LocalFrame,
 ) -> None:
     located = read_table(soundings, SOUNDINGS)[0]
     table = compare_riverbed(
-        located,
-        bed,
-        Banks.read(banks, FlowLine.read(line)),
-        WaterLevel.of_report(json.loads(level.read_text())),
-        scene,
-        LocalFrame(**campaign["origin"]),
+        located, bed, Banks.read(banks, line), WaterLevel.of_report(read_json(level)), scene, frame
     )
     table.to_csv(riverbed, index=False)
     by_depth, scores = compare_soundings(

@@ -1,9 +1,8 @@
 """Line points, sensor, poses and a reference -> distances of the scan, its bad lines, P4 Tables 2 and 3."""
 
-import json
 from pathlib import Path
 
-from thalweg.core import read_table, write_table
+from thalweg.core import read_table, write_json, write_table
 from thalweg.core.geometry import read_mesh
 from thalweg.lightsheet.optics import read_sensor
 from thalweg.lightsheet.poses import SERIES_POINTS, read_poses
@@ -36,11 +35,11 @@ def main(
     compare.statistics(compared, scanned).to_csv(statistics, index=False, float_format="%.6g")
     compared.check.table.to_csv(lines, index=False, float_format="%.6g")
     write_table(distances, compare.distance_table(compared), compare.SCAN_DISTANCES)
-    facts.write_text(json.dumps(compared.facts, indent=2) + "\n")
+    write_json(facts, compared.facts)
     table = read_table(distances, compare.SCAN_DISTANCES)[0]
     rows, middle = single_profile(found, points, table, scanned, levels)
     rows.to_csv(profile, index=False, float_format="%.6g")
-    profile_facts.write_text(json.dumps(middle, indent=2) + "\n")
+    write_json(profile_facts, middle)
 
 
 if "snakemake" in globals():

@@ -1,11 +1,9 @@
 """Cloud and reference mesh -> distances, statistics, range classes, local dependency, registration."""
 
-import json
 from pathlib import Path
-from typing import Any
 
 from thalweg.accuracy import CLOUD_TO_MESH, ComparisonSettings, check_frames, compare_with_reference
-from thalweg.core import write_table
+from thalweg.core import read_json, write_json, write_table
 from thalweg.core.geometry import read_mesh
 from thalweg.settings.sections import Accuracy, ReferenceSettings
 from thalweg.surface import Area
@@ -22,7 +20,8 @@ def main(
     by_range: Path,
     spatial: Path,
     registration: Path,
-    campaign: dict[str, Any],
+    crs: str,
+    seed: int,
     accuracy: Accuracy,
     reference: ReferenceSettings,
 ) -> None:
@@ -31,12 +30,9 @@ def main(
     found = compare_with_reference(
         points,
         surface,
-        area=Area.from_section(accuracy.area, frame, campaign["crs"]),
+        area=Area.from_section(accuracy.area, frame, crs),
         settings=ComparisonSettings.of(
-            accuracy,
-            reference,
-            campaign["seed"],
-            estimated_correlation_s=json.loads(error_model.read_text())["correlation_s"],
+            accuracy, reference, seed, estimated_correlation_s=read_json(error_model)["correlation_s"]
         ),
         registration=accuracy.registration,
     )
@@ -44,7 +40,7 @@ def main(
     found.statistics.to_csv(statistics, index=False)
     found.by_range.to_csv(by_range, index=False)
     found.spatial.to_csv(spatial, index=False)
-    registration.write_text(json.dumps(found.registration, indent=2) + "\n")
+    write_json(registration, found.registration)
 
 
 if "snakemake" in globals():

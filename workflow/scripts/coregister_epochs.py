@@ -1,7 +1,6 @@
 """Two epochs -> the motion between them that stable ground shows."""
 
 from pathlib import Path
-from typing import Any
 
 from thalweg.core import LocalFrame, read_table
 from thalweg.deformation import CORE_POINTS, measure_pair, register_pair, write_registration
@@ -16,10 +15,11 @@ def main(
     core_points: Path,
     registration: Path,
     weights: Path,
-    campaign: dict[str, Any],
+    frame: LocalFrame,
+    crs: str,
     deformation: Deformation,
 ) -> None:
-    settings = with_drawn_areas(deformation, LocalFrame(**campaign["origin"]), campaign["crs"])
+    settings = with_drawn_areas(deformation, frame, crs)
     before, after = (read_epoch(path.parent) for path in epochs)
     pair = measure_pair(read_table(core_points, CORE_POINTS)[0], before, after, settings)
     write_registration(registration, weights, register_pair(pair, settings))

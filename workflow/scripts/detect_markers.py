@@ -1,12 +1,11 @@
 """Pictures with printed markers -> table of marks (sub-pixel saddles), and what was seen and not used."""
 
-import json
 import logging
 from pathlib import Path
 
 from thalweg.calibration import MARKS, detect_pictures, recordings_folder, report_of
 from thalweg.calibration.field import read_field
-from thalweg.core import write_table
+from thalweg.core import write_json, write_table
 from thalweg.ingest.photos import list_images
 from thalweg.workflow import run_job
 
@@ -29,7 +28,7 @@ def main(
         log.warning(note)
     write_table(marks, found.marks, MARKS, {"sizes_px": {camera: found.size_px(camera)}})
     found.rejected.to_csv(rejected, index=False)
-    report.write_text(json.dumps({**facts, "pictures": found.images.to_dict("records")}, indent=2) + "\n")
+    write_json(report, {**facts, "pictures": found.images.to_dict("records")})
 
 
 if "snakemake" in globals():

@@ -28,15 +28,15 @@ def main(
     difference: Path,
     volumes: Path,
     models: list[dict[str, Any]],
-    campaign: dict[str, Any],
+    frame: LocalFrame,
+    crs: str,
     deformation: Deformation,
 ) -> None:
     moved = read_registration(registration, weights)
     if models:
         first, second = (Epoch(**each) for each in models)
-        found = difference_of_models(first, second, deformation, campaign["crs"], moved)
+        found = difference_of_models(first, second, deformation, crs, moved)
     else:
-        frame = LocalFrame(**campaign["origin"])
         before, after = (read_epoch(path.parent) for path in epochs)
         found = difference_of_epochs(
             read_table(core_points, CORE_POINTS)[0],
@@ -44,9 +44,9 @@ def main(
             after,
             moved,
             deformation,
-            Area.from_section(deformation.area, frame, campaign["crs"]),
+            Area.from_section(deformation.area, frame, crs),
             frame=frame,
-            crs=campaign["crs"],
+            crs=crs,
         )
     for note in found.notes:
         log.info("%s", note)

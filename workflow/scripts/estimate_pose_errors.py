@@ -1,13 +1,12 @@
 """Lidar log and stated trajectory -> error model of the poses, and the trajectory with its sigmas."""
 
-import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from thalweg.calibration import read_mounts
-from thalweg.core import Rigid, Trajectory, read_table
+from thalweg.core import Rigid, Trajectory, read_json, read_table
 from thalweg.ingest import GNSS_POSITION, LidarClock, LidarOptions
 from thalweg.ingest.registry import lidar_reader
 from thalweg.lidar import LogSettings, error_model_of_log
@@ -36,7 +35,7 @@ def main(
     own = orientation["position_source"] in ("ins", "sbet")  # positions of the ics origin itself
     lever = np.array([0.0, 0.0, 0.0] if own else sensors["antenna"]["lever_ics_m"])
     if lidar:
-        timed = LidarClock.from_dict(json.loads(clock[0].read_text()))
+        timed = LidarClock.from_dict(read_json(clock[0]))
         model = error_model_of_log(
             lidar_reader(lidar, LidarOptions(**lidar_options)),
             timed,

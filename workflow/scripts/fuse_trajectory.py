@@ -1,13 +1,12 @@
 """INS, antenna positions and image poses -> one trajectory of the boat."""
 
-import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from thalweg.calibration import read_mounts
-from thalweg.core import LocalFrame, Rigid, read_table, write_chains
+from thalweg.core import LocalFrame, Rigid, read_table, write_chains, write_json
 from thalweg.images.model import ImagePoses
 from thalweg.ingest import GNSS_POSITION, INS_STATE
 from thalweg.navigation.fusion import FusionSettings, count_table, fuse_trajectory, with_own_jitter
@@ -25,7 +24,7 @@ def main(
     facts: Path,
     errors: Path,
     adjusted: Path,
-    campaign: dict[str, Any],
+    frame: LocalFrame,
     fused: Fused,
     orientation: dict[str, Any],
     ins: dict[str, Any],
@@ -39,7 +38,7 @@ def main(
     antenna = positions is not None and orientation["position_source"] not in ("ins", "sbet")
     found = fuse_trajectory(
         read_table(states, INS_STATE)[0],
-        LocalFrame(**campaign["origin"]),
+        frame,
         FusionSettings.of(fused),
         positions=read_table(positions, GNSS_POSITION)[0] if antenna and positions else None,
         lever_ics_antenna_m=places["antenna"]["lever_ics_m"],
@@ -54,7 +53,7 @@ def main(
     whole = found.whole()
     found.observations.to_csv(observations, index=False, float_format="%.6f")
     count_table(found.facts).to_csv(counts, index=False)
-    facts.write_text(json.dumps(found.facts, indent=2) + "\n")
+    write_json(facts, found.facts)
     write_chains(errors, found.error_chains(whole))
     if images is not None:
         found.image_poses(ImagePoses.read(images), whole).write(adjusted)

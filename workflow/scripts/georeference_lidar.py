@@ -3,11 +3,10 @@
 Where the log was cut into windows their clouds are joined.
 """
 
-import json
 from pathlib import Path
 from typing import Any
 
-from thalweg.core import Trajectory
+from thalweg.core import Trajectory, read_json
 from thalweg.ingest import LidarClock, LidarOptions
 from thalweg.ingest.registry import lidar_reader
 from thalweg.lidar import LogSettings, georeference_log, join_windows
@@ -32,7 +31,7 @@ def main(
     georeferencing: dict[str, Any],
     filters: Filters,
 ) -> None:
-    poses, timed = Trajectory.read(trajectory), LidarClock.from_dict(json.loads(clock.read_text()))
+    poses, timed = Trajectory.read(trajectory), LidarClock.from_dict(read_json(clock))
     how = LogSettings.of_survey(mounts, error_model, timed, lidar_accuracy, filters, georeferencing)
     if window_points:
         table = join_windows(

@@ -1,10 +1,9 @@
 """A window of a lidar log: where its points lie (first pass), then its part of the cloud (second pass)."""
 
-import json
 from pathlib import Path
 from typing import Any
 
-from thalweg.core import Trajectory
+from thalweg.core import Trajectory, read_json
 from thalweg.ingest import LidarClock, LidarOptions, LogWindow
 from thalweg.ingest.registry import lidar_reader
 from thalweg.lidar import LogSettings, georeference_window, write_density
@@ -16,7 +15,7 @@ def main(
     *,
     lidar: list[Path],
     clock: Path,
-    trajectory: Path,
+    trajectory: Trajectory,
     mounts: Path,
     error_model: Path,
     densities: list[Path],
@@ -27,11 +26,11 @@ def main(
     filters: Filters,
     window: LogWindow,
 ) -> None:
-    timed = LidarClock.from_dict(json.loads(clock.read_text()))
+    timed = LidarClock.from_dict(read_json(clock))
     log = (
         lidar_reader(lidar, LidarOptions(**lidar_options)),
         timed,
-        Trajectory.read(trajectory),
+        trajectory,
         LogSettings.of_survey(mounts, error_model, timed, lidar_accuracy, filters, georeferencing),
         window,
     )

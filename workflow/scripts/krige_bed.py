@@ -1,8 +1,6 @@
 """Soundings, banks and points of the light sheet -> riverbed with sigmas, and its covariance."""
 
-import json
 from pathlib import Path
-from typing import Any
 
 from pyproj import CRS
 
@@ -15,7 +13,7 @@ from thalweg.bathymetry import (
     krige_bed,
     read_other_soundings,
 )
-from thalweg.core import LocalFrame, read_table, write_raster, write_table
+from thalweg.core import LocalFrame, read_json, read_table, write_json, write_raster, write_table
 from thalweg.lightsheet.scanning import BED_POINTS
 from thalweg.settings.sections import Bathymetry, EchoSounder
 from thalweg.workflow import run_job
@@ -26,36 +24,37 @@ def main(
     soundings: Path,
     facts: Path,
     banks: Path,
-    line: Path,
+    line: FlowLine,
     level: Path,
-    strip: list[Path],
+    strip: Path | None,
     others: list[Path],
     bed: Path,
     variogram: Path,
     used: Path,
-    campaign: dict[str, Any],
+    run: str,
+    frame: LocalFrame,
+    crs: CRS,
+    seed: int,
     echo_sounder: EchoSounder,
     bathymetry: Bathymetry,
 ) -> None:
-    frame, centre = LocalFrame(**campaign["origin"]), FlowLine.read(line)
-    crs = CRS.from_user_input(campaign["crs"])
     found = krige_bed(
         read_table(soundings, SOUNDINGS)[0],
-        centre,
-        Banks.read(banks, centre),
-        WaterLevel.of_report(json.loads(level.read_text())),
-        read_table(strip[0], BED_POINTS)[0] if strip else None,
+        line,
+        Banks.read(banks, line),
+        WaterLevel.of_report(read_json(level)),
+        read_table(strip, BED_POINTS)[0] if strip else None,
         frame=frame,
         crs=crs,
         echo=echo_sounder,
         settings=bathymetry,
-        slow_time_s=json.loads(facts.read_text())["position_time_s"],
-        seed=campaign["seed"],
+        slow_time_s=read_json(facts)["position_time_s"],
+        seed=seed,
         others=read_other_soundings(others, frame, crs, bathymetry) if others else None,
     )
-    tags = {"heights": "ellipsoidal, metres", "campaign": campaign["id"]}
+    tags = {"heights": "ellipsoidal, metres", "campaign": run}
     write_raster(bed, found.grid, found.bands(frame), tags=tags)
-    variogram.write_text(json.dumps(found.model.report() | {"facts": found.facts}, indent=2) + "\n")
+    write_json(variogram, found.model.report() | {"facts": found.facts})
     write_table(used, found.data, OBSERVATIONS)
 
 

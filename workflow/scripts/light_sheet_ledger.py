@@ -30,7 +30,7 @@ def main(
     folder: str,
     studies: dict[str, str],
     light_sheet: dict[str, Any] | None,
-    campaign: dict[str, Any],
+    title: str,
     twin: bool,
 ) -> None:
     files = {path.relative_to(folder).as_posix(): path for path in results}
@@ -43,7 +43,7 @@ def main(
     table = judged(read_ledger(published), found)
     table.to_csv(ledger, index=False, float_format="%.6g")
     counts(table).to_csv(numbers, index=False)
-    text.write_text(markdown(table, title=campaign["title"], twin=twin), encoding="utf-8")
+    text.write_text(markdown(table, title=title, twin=twin), encoding="utf-8")
     log.info("%s", sentence(distinct(table)))
 
 

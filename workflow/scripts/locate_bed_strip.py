@@ -1,11 +1,10 @@
 """Lines on the bed, sensor, pulses and the boat's trajectory -> bed points in the world with covariance."""
 
-import json
 from pathlib import Path
 from typing import Any
 
 from thalweg.clocks import read_number_columns
-from thalweg.core import LazWriter, LocalFrame, Rigid, Trajectory, read_table, write_table
+from thalweg.core import LazWriter, LocalFrame, Rigid, Trajectory, read_table, write_json, write_table
 from thalweg.ingest.photos import list_images, read_image_stamps
 from thalweg.lightsheet.optics import WaterState, in_measured_water, read_sensor
 from thalweg.lightsheet.poses import SERIES_POINTS
@@ -23,7 +22,7 @@ def main(
     bed: Path,
     points: Path,
     counts: Path,
-    campaign: dict[str, Any],
+    frame: LocalFrame,
     mount: dict[str, Any],
     water: dict[str, Any],
     chain: str,
@@ -36,12 +35,7 @@ def main(
     times, facts = world.image_times(read_image_stamps(images).table, t_pulse_s, names)
     place = Rigid.from_mount(mount)
     cloud = world.world_cloud(found, Trajectory.read(trajectory), place, times)
-    with LazWriter(
-        bed,
-        LocalFrame(**campaign["origin"]),
-        scale_m=world.LAZ_SCALE_M,
-        extra_dimensions=world.EXTRA_DIMENSIONS,
-    ) as writer:
+    with LazWriter(bed, frame, scale_m=world.LAZ_SCALE_M, extra_dimensions=world.EXTRA_DIMENSIONS) as writer:
         writer.append(**world.laz_columns(cloud))
     write_table(points, world.bed_points(cloud), world.BED_POINTS)
     left = {**cloud.left_out, **empty}
@@ -53,7 +47,7 @@ def main(
         "water": medium,
         "trajectory": chain,
     }
-    counts.write_text(json.dumps(report, indent=2) + "\n")
+    write_json(counts, report)
 
 
 if "snakemake" in globals():

@@ -1,8 +1,6 @@
 """Depths and trajectory -> georeferenced soundings with their errors and reasons."""
 
-import json
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from pyproj import CRS
@@ -16,7 +14,7 @@ from thalweg.bathymetry import (
     soundings_on_map,
 )
 from thalweg.calibration import read_mounts
-from thalweg.core import LocalFrame, Trajectory, read_parquet, read_table, write_table
+from thalweg.core import LocalFrame, Trajectory, read_json, read_parquet, read_table, write_json, write_table
 from thalweg.ingest import DEPTH
 from thalweg.navigation.ins_gnss import PoseCorrelation
 from thalweg.settings.sections import Bathymetry, EchoSounder
@@ -27,30 +25,31 @@ def main(
     *,
     depths: Path,
     integrity: Path,
-    trajectory: Path,
+    trajectory: Trajectory,
     errors: Path,
     positions: Path,
     mounts: Path,
-    calibration: list[Path],
+    calibration: Path | None,
     decisions: list[Path],
     soundings: Path,
     text: Path,
     facts: Path,
-    campaign: dict[str, Any],
+    frame: LocalFrame,
+    crs: CRS,
     echo_sounder: EchoSounder,
     bathymetry: Bathymetry,
     water_line_ics_m: float,
 ) -> None:
     t = np.unique(read_parquet(positions)["t_gps_s"])
-    logged = json.loads(integrity.read_text())["details"]
+    logged = read_json(integrity)["details"]
     mount = read_mounts(mounts)["echo_sounder"]
     table, found = locate_soundings(
         read_table(depths, DEPTH)[0],
-        Trajectory.read(trajectory),
+        trajectory,
         PoseCorrelation.of_survey(
             errors, receiver_s=float(np.median(np.diff(t))), position_time_s=bathymetry.position_time_s
         ),
-        Transducer.of(mount, calibration[0] if calibration else None, echo_sounder),
+        Transducer.of(mount, calibration, echo_sounder),
         echo_sounder,
         bathymetry,
         water_line_ics_m=water_line_ics_m,
@@ -62,10 +61,9 @@ def main(
         table, found["position_time_s"]
     )
     write_table(soundings, table, SOUNDINGS)
-    frame, crs = LocalFrame(**campaign["origin"]), CRS.from_user_input(campaign["crs"])
     soundings_on_map(table, frame, crs).to_csv(text, index=False, float_format="%.4f")
     found["orders"] = s44_orders(table).to_dict(orient="records")
-    facts.write_text(json.dumps(found, indent=2) + "\n")
+    write_json(facts, found)
 
 
 if "snakemake" in globals():

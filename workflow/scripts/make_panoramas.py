@@ -13,24 +13,16 @@ from thalweg.workflow import run_job
 def main(
     *,
     images: list[Path],
-    poses: Path,
+    poses: ImagePoses,
     calibration: Path,
-    points: list[Path],
+    points: Path | None,
     pictures: Path,
     table: Path,
     rig: Rig,
     panorama: Panorama,
 ) -> None:
     files = {path.name: path for path in find_images(images).files}
-    make_panoramas(
-        files,
-        ImagePoses.read(poses),
-        read_rig(calibration, rig),
-        points[0] if points else None,
-        panorama,
-        pictures,
-        table,
-    )
+    make_panoramas(files, poses, read_rig(calibration, rig), points, panorama, pictures, table)
 
 
 if "snakemake" in globals():

@@ -1,9 +1,9 @@
 """Matches -> block of images in its own frame, its pieces, and what became of each image."""
 
-import json
 import logging
 from pathlib import Path
 
+from thalweg.core import write_json
 from thalweg.images.sfm import Matches, block_facts, image_table, main_block, map_images
 from thalweg.settings.sections import MappingSettings
 from thalweg.workflow import run_job
@@ -11,7 +11,7 @@ from thalweg.workflow import run_job
 
 def main(
     *,
-    matches: Path,
+    matches: Matches,
     block: Path,
     pieces: Path,
     images: Path,
@@ -20,10 +20,9 @@ def main(
     threads: int,
     device: str,
 ) -> None:
-    found = Matches.read(matches)
-    mapped = map_images(found, settings=options, threads=threads, device=device)
-    table = image_table(found, mapped)
-    told = block_facts(found, mapped, table)
+    mapped = map_images(matches, settings=options, threads=threads, device=device)
+    table = image_table(matches, mapped)
+    told = block_facts(matches, mapped, table)
     for note in told["notes"]:
         logging.getLogger("thalweg").warning(note)
     why = {name: dict(zip(table["image"], table[name], strict=True)) for name in ("reason", "cause")}
@@ -32,7 +31,7 @@ def main(
     for k, piece in enumerate(mapped.pieces[1:], start=1):
         piece.write(pieces / f"piece_{k}.npz")
     table.to_csv(images, index=False)
-    facts.write_text(json.dumps(told, indent=2) + "\n")
+    write_json(facts, told)
 
 
 if "snakemake" in globals():

@@ -2,7 +2,6 @@
 
 import logging
 from pathlib import Path
-from typing import Any
 
 from thalweg.images.masks import known_camera, make_masks_of_cameras
 from thalweg.images.model import mask_folder
@@ -21,19 +20,13 @@ def main(
     masks: Path,
     table: Path,
     options: MaskSettings,
-    campaign: dict[str, Any],
+    seed: int,
     folders: list[str],
     cameras: str,
 ) -> None:
     known = known_camera(camera, predictions, dict(zip(folders, interiors, strict=True)))
     found = make_masks_of_cameras(
-        named_images(images),
-        masks,
-        options,
-        known,
-        by=cameras,
-        supplied=mask_folder(supplied),
-        seed=campaign["seed"],
+        named_images(images), masks, options, known, by=cameras, supplied=mask_folder(supplied), seed=seed
     )
     log = logging.getLogger("thalweg")
     for note in found.attrs["notes"]:

@@ -2,7 +2,6 @@
 
 import logging
 from pathlib import Path
-from typing import Any
 
 from thalweg.core import LocalFrame
 from thalweg.images import read_all_control_points
@@ -16,28 +15,28 @@ def main(
     *,
     block: Path,
     pieces: Path,
-    predictions: Path,
+    predictions: ImagePoses,
     control_points: list[Path],
     image_marks: list[Path],
     images: list[Path],
     masks: list[Path],
     marks: Path,
-    campaign: dict[str, Any],
+    frame: LocalFrame,
+    crs: str,
     options: ControlSettings,
 ) -> None:
     log = logging.getLogger("thalweg")
-    frame = LocalFrame(**campaign["origin"])
     control = read_all_control_points(
         control_points,
         frame,
-        crs=options.crs or campaign["crs"],
+        crs=options.crs or crs,
         sigma_m=options.sigma_m,
         height_offset_m=options.height_offset_m,
     )
     found = marks_of_pieces(
         read_pieces(block, pieces),
         control,
-        ImagePoses.read(predictions),
+        predictions,
         options,
         tables=image_marks,
         grey=grey_loader(images),

@@ -1,9 +1,8 @@
 """Line points, calibrated sensor and poses -> points of a scan with covariance, and what was left out."""
 
-import json
 from pathlib import Path
 
-from thalweg.core import read_table, write_table
+from thalweg.core import read_table, write_json, write_table
 from thalweg.lightsheet.optics import read_sensor
 from thalweg.lightsheet.poses import SERIES_POINTS, read_poses
 from thalweg.lightsheet.scanning import SCAN_POINTS, joined_counts, merge, profiles, scan_points
@@ -19,7 +18,7 @@ def main(*, sensor: Path, line_points: Path, poses: Path, points: Path, counts: 
         "merged": cloud.counts,
         "images_left_out": {**cloud.left_out, **empty},
     }
-    counts.write_text(json.dumps(facts, indent=2) + "\n")
+    write_json(counts, facts)
 
 
 if "snakemake" in globals():

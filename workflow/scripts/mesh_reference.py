@@ -1,12 +1,11 @@
 """Reference cloud, its integrity report and trajectory -> surface mesh of the bank."""
 
-import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from thalweg.core import LocalFrame, Trajectory
+from thalweg.core import LocalFrame, Trajectory, write_json
 from thalweg.core.geometry import write_mesh
 from thalweg.ingest import IntegrityReport
 from thalweg.settings.sections import Area as AreaSection, ReferenceSettings
@@ -21,13 +20,13 @@ def main(
     trajectory: Path,
     mesh: Path,
     facts: Path,
-    campaign: dict[str, Any],
+    origin: dict[str, Any],
+    crs: str,
     reference: ReferenceSettings,
     area: AreaSection,
 ) -> None:
-    frame = LocalFrame(**campaign["origin"])
-    how = reference
-    limits = Area.from_section(area, frame, campaign["crs"])
+    frame, how = LocalFrame(**origin), reference
+    limits = Area.from_section(area, frame, crs)
     report = IntegrityReport.read(integrity)
     names = [Path(file).name for file in report.files]
     read = read_reference(cloud, frame, limits, margin_m=area_margin_m(how), files=names)
@@ -46,7 +45,7 @@ def main(
     about["counts"] = read.counts | about["counts"]
     about["notes"] = [*read.notes, *apart, *about["notes"]]
     write_mesh(mesh, surface, frame, about)
-    facts.write_text(json.dumps({"origin": campaign["origin"], **about}, indent=2) + "\n")
+    write_json(facts, {"origin": origin, **about})
 
 
 if "snakemake" in globals():

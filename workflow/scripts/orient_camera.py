@@ -1,9 +1,7 @@
 """Marks of the boat's pictures and the field -> interior orientation of its camera, pose of each picture."""
 
-import json
 import logging
 from pathlib import Path
-from typing import Any
 
 from thalweg.calibration import (
     MARKS,
@@ -17,7 +15,7 @@ from thalweg.calibration import (
 )
 from thalweg.calibration.camera_lidar import static_images, statics_of, write_statics
 from thalweg.calibration.field import read_field, read_points
-from thalweg.core import read_table
+from thalweg.core import read_table, write_json
 from thalweg.core.calibration import Source, write_calibration
 from thalweg.workflow import run_job
 
@@ -34,7 +32,7 @@ def main(
     camera: Path,
     residuals: Path,
     report: Path,
-    campaign: dict[str, Any],
+    run: str,
     model: str,
     focal_px: float | None,
 ) -> None:
@@ -55,14 +53,14 @@ def main(
     found.residuals.to_csv(residuals, index=False, float_format="%.5f")
     (boat,) = found.cameras.values()
     source = Source(
-        run=str(campaign["id"]),
+        run=run,
         method="bundle adjustment on the points of the field",
         observations=2 * found.report["marks"],
         sigma0=found.report["sigma0"],
     )
     write_calibration(camera, interior_calibration(boat, source))
     rejected = found.rejected.to_dict("records")
-    report.write_text(json.dumps({"adjustment": found.report, "rejected": rejected}, indent=2) + "\n")
+    write_json(report, {"adjustment": found.report, "rejected": rejected})
 
 
 if "snakemake" in globals():

@@ -13,13 +13,13 @@ def main(
     *,
     images: list[Path],
     times: list[Path],
-    trajectory: Path,
+    trajectory: Trajectory,
     stamps: Path,
     integrity: Path,
     poses: Path,
     rig: Rig,
 ) -> None:
-    placed = place_rig_files(images, Trajectory.read(trajectory), rig, times=times[0] if times else None)
+    placed = place_rig_files(images, trajectory, rig, times=times[0] if times else None)
     write_table(stamps, placed.stamps, IMAGE_STAMPS)
     placed.report.write(integrity)
     placed.poses.write(poses)

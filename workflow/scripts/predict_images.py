@@ -14,21 +14,17 @@ from thalweg.workflow import run_job
 def main(
     *,
     stamps: Path,
-    trajectory: Path,
+    trajectory: Trajectory,
     mounts: Path,
-    clock: list[Path],
+    clock: ClockModel | None,
     predictions: Path,
     stated: StatedClock,
     off_boat: list[str],
 ) -> None:
     table = read_table(stamps, IMAGE_STAMPS)[0]
-    model = ClockModel.read(clock[0]) if clock else stated_clock(table, stated, "the campaign file")
+    model = clock or stated_clock(table, stated, "the campaign file")
     poses = predict_image_poses(
-        table,
-        model,
-        Trajectory.read(trajectory),
-        Rigid.from_mount(read_mounts(mounts)["camera"]),
-        off_boat=off_boat,
+        table, model, trajectory, Rigid.from_mount(read_mounts(mounts)["camera"]), off_boat=off_boat
     )
     poses.write(predictions)
 

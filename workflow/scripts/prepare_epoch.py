@@ -1,7 +1,6 @@
 """Cloud, trajectory and error model of a survey -> points with the errors that they share."""
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -17,7 +16,7 @@ from thalweg.workflow import run_job
 def main(
     *,
     points: Path,
-    trajectory: Path,
+    trajectory: Trajectory,
     mounts: Path,
     positions: Path,
     facts: Path,
@@ -25,20 +24,20 @@ def main(
     errors: Path,
     name: str,
     chain: str,
-    campaign: dict[str, Any],
+    frame: LocalFrame,
+    crs: str,
     deformation: Deformation,
     water_line_ics_m: float,
     sigma_time_s: float,
 ) -> None:
-    frame = LocalFrame(**campaign["origin"])
     epoch = prepare_epoch(
         name,
         points,
-        Trajectory.read(trajectory),
+        trajectory,
         Rigid.from_mount(read_mounts(mounts)["lidar"]),
         read_chains(facts) if chain != "ins" else _of_ins(facts, positions, deformation),
         frame=frame,
-        area=Area.from_section(deformation.area, frame, campaign["crs"]),
+        area=Area.from_section(deformation.area, frame, crs),
         moment_s=deformation.errors.moment_s,
         water_line_ics_m=water_line_ics_m,
         margin_m=deformation.reach_m + 1.0,

@@ -1,7 +1,6 @@
 """Clouds or a surface model from elsewhere -> points with the errors that are stated of them."""
 
 from pathlib import Path
-from typing import Any
 
 from thalweg.core import LocalFrame, read_parquet
 from thalweg.deformation.foreign import prepare_foreign_epoch
@@ -12,23 +11,23 @@ from thalweg.workflow import run_job
 
 def main(
     *,
-    positions: list[Path],
+    positions: Path | None,
     prepared: Path,
     errors: Path,
     name: str,
     stated: Epoch,
-    campaign: dict[str, Any],
+    frame: LocalFrame,
+    crs: str,
     deformation: Deformation,
 ) -> None:
-    frame = LocalFrame(**campaign["origin"])
     epoch = prepare_foreign_epoch(
         name,
         stated,
         frame=frame,
-        crs=campaign["crs"],
-        area=Area.from_section(deformation.area, frame, campaign["crs"]),
+        crs=crs,
+        area=Area.from_section(deformation.area, frame, crs),
         margin_m=deformation.reach_m + 1.0,
-        start_gps_s=float(read_parquet(positions[0])["t_gps_s"].min()) if positions else None,
+        start_gps_s=float(read_parquet(positions)["t_gps_s"].min()) if positions else None,
     )
     epoch.write(prepared, errors)
 

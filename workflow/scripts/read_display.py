@@ -1,10 +1,10 @@
 """Photographs of a running clock -> readings, and how evenly the camera takes its pictures."""
 
-import json
 from pathlib import Path
 from typing import Any
 
 from thalweg.clocks import clock_stability, read_display, read_text_columns
+from thalweg.core import write_json
 from thalweg.ingest.photos import list_images
 from thalweg.workflow import run_job
 
@@ -28,7 +28,7 @@ def main(
     )
     table.to_csv(display, index=False, float_format="%.6f")
     found = clock_stability(table["t_display_s"].to_numpy(), step_s=options["step_s"])
-    stability.write_text(json.dumps(facts | found.facts(), indent=2) + "\n")
+    write_json(stability, facts | found.facts())
 
 
 if "snakemake" in globals():

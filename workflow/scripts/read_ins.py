@@ -17,10 +17,10 @@ def main(
     depths: Path,
     integrity: Path,
     source: str,
-    campaign: dict[str, Any],
+    frame: LocalFrame,
     options: dict[str, Any],
 ) -> None:
-    told = TrackOptions(**options, smrmsg=tuple(smrmsg), frame=LocalFrame(**campaign["origin"]))
+    told = TrackOptions(**options, smrmsg=tuple(smrmsg), frame=frame)
     log = read_poses(ins, "sbet" if source == "sbet" else "ins", told)
     write_table(states, log.states, INS_STATE)
     write_table(depths, log.depths, DEPTH)

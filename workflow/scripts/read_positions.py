@@ -15,7 +15,7 @@ def main(
     logs: list[Path],
     base: list[Path],
     nav: list[Path],
-    states: list[Path],
+    states: Path | None,
     positions: Path,
     integrity: Path,
     source: str,
@@ -27,7 +27,7 @@ def main(
     table, report = read_positions(
         source,
         logs,
-        states=states[0] if states else None,
+        states=states,
         date=dt.date.fromisoformat(date) if date else None,
         topics=topics,
         base=base,

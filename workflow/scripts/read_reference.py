@@ -1,15 +1,14 @@
 """Reference clouds -> one cloud in the world frame and its integrity report."""
 
 from pathlib import Path
-from typing import Any
 
 from thalweg.core import LocalFrame
 from thalweg.ingest.clouds import gather_reference
 from thalweg.workflow import run_job
 
 
-def main(*, reference: list[Path], cloud: Path, integrity: Path, campaign: dict[str, Any]) -> None:
-    report = gather_reference(reference, cloud, LocalFrame(**campaign["origin"]), campaign["crs"])
+def main(*, reference: list[Path], cloud: Path, integrity: Path, frame: LocalFrame, crs: str) -> None:
+    report = gather_reference(reference, cloud, frame, crs)
     report.write(integrity)
 
 

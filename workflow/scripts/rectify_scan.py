@@ -1,10 +1,9 @@
 """Images of a scan, sensor, poses and alignment -> orthophoto in the frame of the reference."""
 
-import json
 from pathlib import Path
 from typing import Any
 
-from thalweg.core import read_table
+from thalweg.core import read_json, read_table, write_json
 from thalweg.ingest.photos import list_images
 from thalweg.lightsheet.optics import read_sensor
 from thalweg.lightsheet.poses import SERIES_POINTS, read_poses, read_sheet_image
@@ -31,13 +30,13 @@ def main(
     layout = lines["layout"]
     found = orthophoto(
         calibrated,
-        cloud.moved(to_reference(json.loads(facts.read_text())), "reference"),
+        cloud.moved(to_reference(read_json(facts)), "reference"),
         lambda name: read_sheet_image(files[name]),
         cell_m=cell_m,
         layout="rggb" if layout in ("auto", "rgb") else layout,
     )
     write_orthophoto(found, picture, world)
-    report.write_text(json.dumps(found.counts, indent=2) + "\n")
+    write_json(report, found.counts)
 
 
 if "snakemake" in globals():

@@ -16,7 +16,7 @@ from thalweg.workflow import run_job
 def main(
     *,
     lidar: list[Path],
-    trajectory: list[Path],
+    trajectory: Trajectory | None,
     mounts: list[Path],
     clock: Path,
     integrity: Path,
@@ -26,9 +26,9 @@ def main(
 ) -> None:
     reader = lidar_reader(lidar, LidarOptions(**lidar_options))
     voyage = None
-    if trajectory:
+    if trajectory is not None:
         mount = Rigid.from_mount(read_mounts(mounts[0])["lidar"])
-        voyage = (Trajectory.read(trajectory[0]), mount, filters)
+        voyage = (trajectory, mount, filters)
     found, report = with_stated_clock(reader, reader.scan(), stated, voyage)
     clock.write_text(json.dumps(found.to_dict()) + "\n")
     report.write(integrity)

@@ -17,13 +17,14 @@ def main(
     nmea: Path,
     effects: Path,
     true_soundings: Path,
-    campaign: dict[str, Any],
+    frame: LocalFrame,
+    seed: int,
     twin: dict[str, Any],
 ) -> None:
     simulate_echo(
         TwinConfig(**twin),
-        campaign["seed"],
-        LocalFrame(**campaign["origin"]),
+        seed,
+        frame,
         scene,
         nmea,
         lever_ics_echo_m=read_true_mounts(true_mounts)["echo_sounder"]["lever_ics_m"],

@@ -9,12 +9,8 @@ from thalweg_lab.voyage import read_true_mounts
 from thalweg_lab.yard_images import simulate_field_images
 
 
-def main(
-    *, true_mounts: Path, images: Path, times: Path, kind: str, campaign: dict[str, Any], twin: dict[str, Any]
-) -> None:
-    simulate_field_images(
-        TwinConfig(**twin), campaign["seed"], kind, read_true_mounts(true_mounts), images, times
-    )
+def main(*, true_mounts: Path, images: Path, times: Path, kind: str, seed: int, twin: dict[str, Any]) -> None:
+    simulate_field_images(TwinConfig(**twin), seed, kind, read_true_mounts(true_mounts), images, times)
 
 
 if "snakemake" in globals():

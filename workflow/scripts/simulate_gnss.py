@@ -17,13 +17,14 @@ def main(
     sbp: Path,
     pos: Path,
     effects: Path,
-    campaign: dict[str, Any],
+    frame: LocalFrame,
+    seed: int,
     twin: dict[str, Any],
 ) -> None:
     simulate_gnss(
         TwinConfig(**twin),
-        campaign["seed"],
-        LocalFrame(**campaign["origin"]),
+        seed,
+        frame,
         sbp,
         pos,
         lever_ics_antenna_m=read_true_mounts(true_mounts)["antenna"]["lever_ics_m"],

@@ -9,10 +9,8 @@ from thalweg_lab.instruments import simulate_ins
 from thalweg_lab.settings import TwinConfig
 
 
-def main(*, anpp: Path, effects: Path, campaign: dict[str, Any], twin: dict[str, Any]) -> None:
-    simulate_ins(
-        TwinConfig(**twin), campaign["seed"], LocalFrame(**campaign["origin"]), anpp, out_effects=effects
-    )
+def main(*, anpp: Path, effects: Path, frame: LocalFrame, seed: int, twin: dict[str, Any]) -> None:
+    simulate_ins(TwinConfig(**twin), seed, frame, anpp, out_effects=effects)
 
 
 if "snakemake" in globals():

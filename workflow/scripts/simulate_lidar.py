@@ -17,14 +17,15 @@ def main(
     pcap: Path,
     shots: Path,
     effects: Path,
-    campaign: dict[str, Any],
+    frame: LocalFrame,
+    seed: int,
     twin: dict[str, Any],
 ) -> None:
     mount = Rigid.from_mount(read_true_mounts(true_mounts)["lidar"])
     simulate_lidar(
         TwinConfig(**twin),
-        campaign["seed"],
-        LocalFrame(**campaign["origin"]),
+        seed,
+        frame,
         scene,
         pcap,
         R_ics_scs=mount.R,

@@ -10,19 +10,14 @@ from thalweg_lab.voyage import true_mounts, write_true_mounts
 
 
 def main(
-    *,
-    same_boat: list[Path],
-    true_mounts_file: Path,
-    campaign: dict[str, Any],
-    twin: dict[str, Any],
-    mounts: dict[str, Any],
+    *, same_boat: Path | None, true_mounts_file: Path, seed: int, twin: dict[str, Any], mounts: dict[str, Any]
 ) -> None:
     if same_boat:
         # The boat that was calibrated is the one that surveys.
-        shutil.copyfile(same_boat[0], true_mounts_file)
+        shutil.copyfile(same_boat, true_mounts_file)
         return
     on = TwinConfig(**twin).effects.mount_errors
-    write_true_mounts(true_mounts_file, true_mounts(mounts, campaign["seed"], on=on), mounts)
+    write_true_mounts(true_mounts_file, true_mounts(mounts, seed, on=on), mounts)
 
 
 if "snakemake" in globals():

@@ -11,15 +11,15 @@ from thalweg_lab.yard_records import simulate_positions
 
 
 def main(
-    *, true_mounts: Path, scans: Path, effects: Path, campaign: dict[str, Any], twin: dict[str, Any]
+    *, true_mounts: Path, scans: Path, effects: Path, frame: LocalFrame, seed: int, twin: dict[str, Any]
 ) -> None:
     config = TwinConfig(**twin)
     mount = Rigid.from_mount(read_true_mounts(true_mounts)["lidar"])
     scans.mkdir(parents=True, exist_ok=True)
     simulate_positions(
         config,
-        campaign["seed"],
-        LocalFrame(**campaign["origin"]),
+        seed,
+        frame,
         [
             scans / f"position_{k + 1}.pcap"
             for k in range(len(config.field.positions if config.field else ()))

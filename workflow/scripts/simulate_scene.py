@@ -9,10 +9,10 @@ from thalweg_lab.settings import TwinConfig
 from thalweg_lab.yard_records import simulate_field_scene
 
 
-def main(*, scene: Path, campaign: dict[str, Any], twin: dict[str, Any]) -> None:
+def main(*, scene: Path, seed: int, twin: dict[str, Any]) -> None:
     config = TwinConfig(**twin)
     write = simulate_scene if config.field is None else simulate_field_scene
-    write(config, campaign["seed"], scene)
+    write(config, seed, scene)
 
 
 if "snakemake" in globals():

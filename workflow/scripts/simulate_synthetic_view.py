@@ -9,12 +9,8 @@ from thalweg_lab.voyage import read_true_mounts
 from thalweg_lab.yard_images import simulate_synthetic_view
 
 
-def main(
-    *, true_mounts: Path, view: Path, lidar_frame: Path, campaign: dict[str, Any], twin: dict[str, Any]
-) -> None:
-    simulate_synthetic_view(
-        TwinConfig(**twin), campaign["seed"], read_true_mounts(true_mounts), view, lidar_frame
-    )
+def main(*, true_mounts: Path, view: Path, lidar_frame: Path, seed: int, twin: dict[str, Any]) -> None:
+    simulate_synthetic_view(TwinConfig(**twin), seed, read_true_mounts(true_mounts), view, lidar_frame)
 
 
 if "snakemake" in globals():

@@ -7,7 +7,7 @@ from typing import Any
 from thalweg.calibration import read_poses
 from thalweg.calibration.field import read_place
 from thalweg.clocks import ANTENNA_TRACK, IMAGE_FIXES, Track, antenna_track, image_fixes, synchronise
-from thalweg.core import LocalFrame, read_table, write_table
+from thalweg.core import LocalFrame, read_table, write_json, write_table
 from thalweg.ingest import GNSS_POSITION, INS_STATE
 from thalweg.ingest.photos import IMAGE_STAMPS
 from thalweg.workflow import run_job
@@ -25,11 +25,10 @@ def main(
     report: Path,
     fixes: Path,
     track: Path,
-    campaign: dict[str, Any],
+    frame: LocalFrame,
     options: dict[str, Any],
 ) -> None:
     table, oriented = read_poses(poses)
-    frame = LocalFrame(**campaign["origin"])
     run, field_error, counts = synchronise.run_poses(
         list(table["image"]), oriented, read_place(place), read_table(stamps, IMAGE_STAMPS)[0]
     )
@@ -49,7 +48,7 @@ def main(
     write_table(track, antenna_track(gnss), ANTENNA_TRACK)
     variants = json.loads(done.variants.to_json(orient="records"))
     facts = synchronise.run_facts(done) | counts | {"variants": variants}
-    report.write_text(json.dumps(facts, indent=2) + "\n")
+    write_json(report, facts)
 
 
 if "snakemake" in globals():

@@ -1,13 +1,12 @@
 """Image poses, stamps, positions and INS -> the same poses with times, and the camera's clock."""
 
-import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from thalweg.calibration import read_mounts
 from thalweg.clocks import ClockModel, Track, synchronise
-from thalweg.core import LocalFrame, read_table, write_table
+from thalweg.core import LocalFrame, read_table, write_json, write_table
 from thalweg.core.calibration import read_calibration
 from thalweg.images.model import ImagePoses, in_folders
 from thalweg.ingest import GNSS_POSITION, INS_STATE
@@ -28,18 +27,17 @@ def main(
     times: Path,
     clock: Path,
     report: Path,
-    campaign: dict[str, Any],
+    frame: LocalFrame,
     source: str,
     stated: dict[str, Any],
     options: dict[str, Any],
     cloud: dict[str, Any],
-    camera_clock: list[Path],
-    boat: list[Path],
+    camera_clock: ClockModel | None,
+    boat: Path | None,
     off_boat: list[str],
 ) -> None:
-    frame = LocalFrame(**campaign["origin"])
     places = read_mounts(mounts)
-    _, T_ics_ccs, _ = lidar_mount_by_camera(places, read_calibration(boat[0]) if boat else None)
+    _, T_ics_ccs, _ = lidar_mount_by_camera(places, read_calibration(boat) if boat else None)
     # the INS's own positions, and an SBET's, are those of the body's origin
     own = {"lever_ics_m": (0.0, 0.0, 0.0), "sigma_lever_m": (0.0, 0.0, 0.0)}
     measured = own if source in ("ins", "sbet") else places["antenna"]
@@ -56,7 +54,7 @@ def main(
         table[~in_folders(table["file"], off_boat)],
         track=gnss,
         ins=synchronise.run_attitude(read_table(states, INS_STATE)[0], frame, options),
-        clock=ClockModel.read(camera_clock[0]) if camera_clock else None,
+        clock=camera_clock,
         options=replace(synchronise.offset_options(options), lever_m=lever_m, cov_lever_m2=cov_m2),
         use=cloud["image_times"],
         clock_from=cloud["clock"],
@@ -65,7 +63,7 @@ def main(
     found.poses.write(timed)
     write_table(times, found.table, synchronise.IMAGE_TIMES)
     found.clock.write(clock)
-    report.write_text(json.dumps(found.facts, indent=2) + "\n")
+    write_json(report, found.facts)
 
 
 if "snakemake" in globals():

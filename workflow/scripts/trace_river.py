@@ -1,14 +1,12 @@
 """Trajectory and cloud -> water level, banks and centre line of the river."""
 
-import json
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from pyproj import CRS
 
 from thalweg.bathymetry import flow_of_survey, level_water, read_banks, read_line, shore_points
-from thalweg.core import LocalFrame, Trajectory, read_parquet
+from thalweg.core import LocalFrame, Trajectory, read_parquet, write_json
 from thalweg.navigation.ins_gnss import PoseCorrelation
 from thalweg.settings.sections import Bathymetry
 from thalweg.workflow import run_job
@@ -25,11 +23,11 @@ def main(
     traced: Path,
     line: Path,
     level: Path,
-    campaign: dict[str, Any],
+    frame: LocalFrame,
+    crs: CRS,
     bathymetry: Bathymetry,
     water_line_ics_m: float,
 ) -> None:
-    frame, crs = LocalFrame(**campaign["origin"]), CRS.from_user_input(campaign["crs"])
     path = Trajectory.read(trajectory)
     t = np.unique(read_parquet(positions)["t_gps_s"])
     correlation = PoseCorrelation.of_survey(
@@ -54,7 +52,7 @@ def main(
     )
     found.write(traced)
     found.line.write(line)
-    level.write_text(json.dumps(water.report() | {"notes": notes}, indent=2) + "\n")
+    write_json(level, water.report() | {"notes": notes})
 
 
 if "snakemake" in globals():

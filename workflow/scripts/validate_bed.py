@@ -1,13 +1,11 @@
 """Data of the bed and its covariance -> what it foretells of left-out lines, beside other interpolators."""
 
-import json
 from pathlib import Path
-from typing import Any
 
 from pyproj import CRS
 
 from thalweg.bathymetry import OBSERVATIONS, Banks, BedModel, FlowLine, against_reference, validate_bed
-from thalweg.core import read_table
+from thalweg.core import read_json, read_table, write_json
 from thalweg.settings.sections import Bathymetry
 from thalweg.workflow import run_job
 
@@ -17,7 +15,7 @@ def main(
     used: Path,
     soundings: Path,
     variogram: Path,
-    line: Path,
+    line: FlowLine,
     banks: Path,
     bed: Path,
     reference: list[Path],
@@ -25,21 +23,20 @@ def main(
     validation: Path,
     predicted: Path,
     methods: Path,
-    campaign: dict[str, Any],
+    crs: CRS,
     bathymetry: Bathymetry,
 ) -> None:
     facts, table, compared = validate_bed(
         read_table(used, OBSERVATIONS)[0],
-        BedModel.of_report(json.loads(variogram.read_text())),
-        Banks.read(banks, FlowLine.read(line)).half_widths_m,
+        BedModel.of_report(read_json(variogram)),
+        Banks.read(banks, line).half_widths_m,
         bathymetry,
     )
-    if agreed := json.loads(soundings.read_text())["crossings"].get("agreement"):
+    if agreed := read_json(soundings)["crossings"].get("agreement"):
         facts["agreement"] = agreed
     if reference or surveyed:
-        crs = CRS.from_user_input(campaign["crs"])
         facts["reference"] = against_reference(bed, reference + surveyed, crs, bathymetry)
-    validation.write_text(json.dumps(facts, indent=2) + "\n")
+    write_json(validation, facts)
     table.to_parquet(predicted, index=False)
     compared.to_csv(methods, index=False)
 

@@ -52,6 +52,7 @@ from .documents import (
     read_yaml as read_yaml,
     refuse as refuse,
     validated as validated,
+    write_json as write_json,
     wrong as wrong,
 )
 from .errors import (

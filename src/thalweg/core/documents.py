@@ -119,6 +119,11 @@ def read_json(path: Path, expected: str = "JSON", cure: str = _AGAIN) -> Any:
     return parse_json(path.read_bytes().removeprefix(b"\xef\xbb\xbf"), path, expected, cure)
 
 
+def write_json(path: Path, facts: Any) -> None:
+    """Facts as a file in JSON, for people too."""
+    path.write_text(json.dumps(facts, indent=2) + "\n", encoding="utf-8")
+
+
 def decode_picture(data: "ArrayU8", flags: int) -> "AnyArray | None":
     """Pixels of a stored picture, as ``cv2.imdecode`` gives them; None if it is none.
 

@@ -19,6 +19,7 @@ from typing import Any, Union, get_args, get_origin, get_type_hints
 
 import pandas as pd
 import pyarrow.parquet as pq
+from pyproj import CRS
 
 from thalweg.core import UNFINISHED, InputError, ThalwegError, read_json, read_parquet
 from thalweg.workflow.costs import costs_of, memory_now_mb
@@ -62,7 +63,7 @@ def run_job(main: Callable[..., None], snakemake: Any) -> None:
     params = dict(snakemake.params.items())
     code = str(params.pop("code", ""))
     # Nothing in the library draws from these global generators; seeding them covers third-party code.
-    random.seed(int(params.get("seed", params.get("campaign", {}).get("seed", 0))))
+    random.seed(int(params.get("seed", 0)))
     log.info("rule %s starts with %d threads", rule, snakemake.threads)
     with truth_closed(rule, [snakemake.input, snakemake.output, params]), staged(outputs, rule) as staging:
         before = state_of(inputs)
@@ -152,14 +153,14 @@ def _held(path: Path, kind: Any) -> Any:
 
 
 def _as_section(value: Any, hint: Any) -> Any:
-    """The section of settings or the dataclass that a keyword asks for; other values as they are."""
+    """The section of settings, dataclass, path or CRS that a keyword asks for; other values as they are."""
     if isinstance(value, Mapping):
         for kind in (hint, *get_args(hint)):
             if hasattr(kind, "model_validate"):
                 return kind.model_validate(value)
             if isinstance(kind, type) and is_dataclass(kind):
                 return kind(**value)
-    return Path(value) if hint is Path else value
+    return hint(value) if hint in (Path, CRS) else value
 
 
 def _limit_threads(threads: int) -> None:
