@@ -111,8 +111,8 @@ def test_poses_come_before_the_time_of_a_lidar_that_the_motion_tells(source):
     """Else the poses wait for the common time axis, and that for the lidar's time: a circle."""
     boat = survey(logs={"lidar": ["a.pcap"], "ins": ["a.anpp"]}, lidar={"clock": {"source": source}})
     tells = source == "motion"
-    assert names(boat.telling_trajectory()) == ["orientation/trajectory_stated.parquet"] * tells
-    assert names(boat.telling_mounts()) == ["calibration/mounts.json"] * tells
+    told = boat.where(CampaignFiles.motion_tells_time, "orientation/trajectory_stated.parquet")
+    assert names(told) == ["orientation/trajectory_stated.parquet"] * tells
     assert names(boat.streams_before_poses()) == ["timing/streams.csv"] * (not tells)
 
 
@@ -144,7 +144,8 @@ def test_parts_of_settings_leave_out_what_a_job_does_not_depend_on(shipped):
     tiny = shipped["tiny"]
     assert set(tiny.identity("id", "seed")) == {"id", "seed"}
     assert set(tiny.mounts("lidar")) == {"lidar"}
-    assert "sigma_m" not in tiny.reference_surface()
+    whole = tiny.section("reference")
+    assert tiny.without("reference", "sigma_m") == {k: v for k, v in whole.items() if k != "sigma_m"} != whole
     assert "sections" not in tiny.comparison()
     assert set(tiny.twin_parts("scene")) == {"size", "start_utc", "duration_s", "field", "scene"}
     assert tiny.section("images", "mapping", "parts") == tiny.campaign.images.mapping.parts

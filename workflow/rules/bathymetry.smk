@@ -62,7 +62,7 @@ rule krige_bed:
         banks="results/{campaign}/bathymetry/banks.csv",
         line="results/{campaign}/bathymetry/centre_line.csv",
         level="results/{campaign}/bathymetry/water_level.json",
-        strip=of(CampaignFiles.strip_points),
+        strip=where(CampaignFiles.has_strip, "triangulation/strip/points.parquet"),
         others=raw("soundings"),
     output:
         bed="results/{campaign}/bathymetry/bed.tif",

@@ -146,6 +146,16 @@ def section(*keys):
     return of(CampaignFiles.section, *keys)
 
 
+def without(name, *keys):
+    """Function for params: a section without keys that the rule does not depend on."""
+    return of(CampaignFiles.without, name, *keys)
+
+
+def where(condition, *names):
+    """Input function: results of the campaign where a method of `CampaignFiles` says yes."""
+    return of(CampaignFiles.where, condition, *names)
+
+
 def identity(*keys):
     """Function for params: only those keys of the section `campaign`, so that a new title reruns pictures alone."""
     return of(CampaignFiles.identity, *keys)

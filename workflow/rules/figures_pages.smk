@@ -101,7 +101,7 @@ PAGES = {
             "fused_facts": f"{RESULTS}/orientation/fused.json",
             "control": of(CampaignFiles.control_reports),
             "trajectories": of(CampaignFiles.trajectories),
-            "truth": of(CampaignFiles.chains_truth),
+            "truth": where(CampaignFiles.is_twin, "accuracy/chains_truth.csv"),
             "pictures": of_page("trajectories"),
         },
         "params": {

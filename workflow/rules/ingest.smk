@@ -5,8 +5,10 @@ rule scan_lidar:
     """Clock, counts and losses of the lidar log; the points are streamed later."""
     input:
         lidar=raw("lidar"),
-        trajectory=of(CampaignFiles.telling_trajectory),
-        mounts=of(CampaignFiles.telling_mounts),
+        trajectory=where(
+            CampaignFiles.motion_tells_time, "orientation/trajectory_stated.parquet"
+        ),
+        mounts=where(CampaignFiles.motion_tells_time, "calibration/mounts.json"),
     output:
         clock="results/{campaign}/ingest/lidar.clock.json",
         integrity="results/{campaign}/ingest/lidar.integrity.json",

@@ -5,7 +5,7 @@ rule estimate_pose_errors:
     """How large the errors of the poses are, from surfaces that the lidar saw again; sigmas of the poses."""
     input:
         lidar=raw("lidar"),
-        clock=of(CampaignFiles.lidar_clock),
+        clock=where(CampaignFiles.has_lidar, "ingest/lidar.clock.json"),
         stated="results/{campaign}/orientation/trajectory_stated.parquet",
         positions="results/{campaign}/ingest/positions.parquet",
         mounts="results/{campaign}/calibration/mounts.json",
@@ -176,7 +176,9 @@ rule colour_points:
     """The cloud in the colours of the photographs that show it, without what hides behind something nearer."""
     input:
         points=of(CampaignFiles.best_points),
-        poses=of(CampaignFiles.colour_poses),
+        poses=where(
+            CampaignFiles.has_colour_images, "orientation/image_poses_fused.parquet"
+        ),
         camera=of(CampaignFiles.colour_camera),
         images=of(CampaignFiles.colour_images),
         masks=of(CampaignFiles.colour_masks),
@@ -226,7 +228,7 @@ rule viewer_page:
         gains=of(CampaignFiles.colour_gains),
         images=of(CampaignFiles.colour_images),
         rig_images=of(CampaignFiles.rig_images),
-        table=of(CampaignFiles.panorama_table),
+        table=where(CampaignFiles.has_panoramas, "panorama/panoramas.parquet"),
     output:
         page="results/{campaign}/viewer/index.html",
         nodes=directory("results/{campaign}/viewer/nodes"),

@@ -16,7 +16,7 @@ rule mesh_reference:
     params:
         origin=FRAME,
         crs=CRS,
-        reference=of(CampaignFiles.reference_surface),
+        reference=without("reference", "sigma_m"),
         area=section("accuracy", "area"),
     script:
         "../scripts/mesh_reference.py"

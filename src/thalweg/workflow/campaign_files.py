@@ -133,6 +133,10 @@ class CampaignFiles:
     def _result(self, name: str) -> str:
         return f"results/{self.name}/{name}"
 
+    def where(self, condition: Callable[["CampaignFiles"], object], *names: str) -> list[str]:
+        """Those results of the campaign where one of its methods says yes, else none."""
+        return self._where(condition(self), *names)
+
     def _where(self, condition: object, *names: str) -> list[str]:
         """Those results of the campaign where the condition holds, else none."""
         return [self._result(name) for name in names] if condition else []
@@ -145,6 +149,14 @@ class CampaignFiles:
         for key in keys:
             found = found[key]
         return found
+
+    def without(self, section: str, *keys: str) -> dict[str, Any]:
+        """A section without keys that a job does not depend on: a change of them runs nothing again."""
+        return {key: value for key, value in self.plain[section].items() if key not in keys}
+
+    def comparison(self) -> dict[str, Any]:
+        """The section `accuracy` without the cross sections, which are a picture's."""
+        return self.without("accuracy", "sections")
 
     def mapper_threads(self) -> int:
         """Of structure from motion: one for each part of the pairs, as who has parts has a large block."""
@@ -161,8 +173,7 @@ class CampaignFiles:
 
     def lidar_options(self) -> dict[str, Any]:
         """How the lidar is decoded; its stated time is known to the job that makes its clock."""
-        own = {key: value for key, value in self.plain["lidar"].items() if key != "clock"}
-        return own | {"topics": self.topics("lidar")}
+        return self.without("lidar", "clock") | {"topics": self.topics("lidar")}
 
     def topics(self, stream: str) -> list[str]:
         """Topics of bags that the campaign names for a stream."""
@@ -173,7 +184,7 @@ class CampaignFiles:
 
         Comparisons with a reference or with a twin's truth need the full covariance of each point.
         """
-        options = {key: value for key, value in self.plain["georeferencing"].items() if key != "export_map"}
+        options = self.without("georeferencing", "export_map")
         options["correlations"] |= self.has_reference() or self.is_twin() or self.is_epoch()
         return options
 
@@ -201,14 +212,6 @@ class CampaignFiles:
         if not logs:
             return {"base_from": "rinex_header"} if self.position_source() == "ppk" else {}
         return {k: v for k, v in logs["gnss"].items() if k.startswith("base_")}
-
-    def reference_surface(self) -> dict[str, Any]:
-        """The section `reference` without the sigma, which no mesh depends on."""
-        return {key: value for key, value in self.plain["reference"].items() if key != "sigma_m"}
-
-    def comparison(self) -> dict[str, Any]:
-        """The section `accuracy` without the cross sections, which are a picture's."""
-        return {key: value for key, value in self.plain["accuracy"].items() if key != "sections"}
 
     # ------------------------------------------------------------ windows of a long log
 
@@ -271,24 +274,13 @@ class CampaignFiles:
         """True if a lidar was recorded."""
         return bool(self.logs("lidar"))
 
-    def lidar_clock(self) -> list[str]:
-        """The clock of the lidar, where there is one."""
-        return self._where(self.has_lidar(), "ingest/lidar.clock.json")
-
-    def _motion_tells_time(self) -> bool:
+    def motion_tells_time(self) -> bool:
+        """True if the motion of the boat tells the time of the lidar."""
         return self.has_lidar() and self.campaign.lidar.clock.source == "motion"
-
-    def telling_trajectory(self) -> list[str]:
-        """The trajectory that tells the time of a lidar without GPS, where one does."""
-        return self._where(self._motion_tells_time(), "orientation/trajectory_stated.parquet")
-
-    def telling_mounts(self) -> list[str]:
-        """The mounts beside it."""
-        return self._where(self._motion_tells_time(), "calibration/mounts.json")
 
     def streams_before_poses(self) -> list[str]:
         """The common time axis, where it can be known before the poses."""
-        return self._where(not self._motion_tells_time(), "timing/streams.csv")
+        return self._where(not self.motion_tells_time(), "timing/streams.csv")
 
     def ins_points(self) -> list[str]:
         """The cloud by INS and GNSS, where there is a lidar."""
@@ -681,10 +673,6 @@ class CampaignFiles:
         """The same of their comparison with a reference; nothing where there is none."""
         return self.of_chains("accuracy", name) if self.has_reference() else []
 
-    def chains_truth(self) -> list[str]:
-        """Errors of the trajectories of a twin against its truth."""
-        return self._where(self.is_twin(), "accuracy/chains_truth.csv")
-
     def chain_steps(self) -> dict[str, list[str]]:
         """A result of each job that belongs to one chain alone; only the record beside it is read."""
         own = ("masks", "sfm/matches.npz", "sfm/block.npz", "control_marks.csv", "image_poses.parquet")
@@ -846,10 +834,6 @@ class CampaignFiles:
         """The photographs of the boat's camera, where they give colours."""
         return self.logs("time_lapse") if self.has_colour_images() else []
 
-    def colour_poses(self) -> list[str]:
-        """Their poses, as all sensors together say."""
-        return self._where(self.has_colour_images(), "orientation/image_poses_fused.parquet")
-
     def colour_camera(self) -> list[str]:
         """Their interior orientation."""
         return [self.adjusted_camera()] if self.has_colour_images() else []
@@ -897,7 +881,7 @@ class CampaignFiles:
 
     def rig_views(self) -> dict[str, Any]:
         """The section `rig` without mount and clock, which no picture depends on."""
-        return {k: v for k, v in self.plain["rig"].items() if k not in ("mount", "times", "clock")}
+        return self.without("rig", "mount", "times", "clock")
 
     def panorama_points(self) -> list[str]:
         """The cloud that says how far things are, where panoramas need it."""
@@ -946,10 +930,6 @@ class CampaignFiles:
         """Exposures of the photographs that give the cloud colours, and their numbers in it."""
         return self._where(self.is_coloured(), "lidar/coloured_gains.csv")
 
-    def panorama_table(self) -> list[str]:
-        """The table of the panoramas, if there are any."""
-        return self._where(self.has_panoramas(), "panorama/panoramas.parquet")
-
     def walk_points(self) -> list[str]:
         """The cloud over the panoramas of a walk, if there is a lidar."""
         return self.shown_points() if self.has_lidar() else []
@@ -983,10 +963,6 @@ class CampaignFiles:
         folders = {chain: folder for folder, chain in _OF_FOLDER.items()}
         others = [chain for chain in made if chain != self.best_chain()]
         return {chain: self._result(f"lidar/{folders[chain]}points.laz") for chain in others}
-
-    def strip_points(self) -> list[str]:
-        """Points of the bed by the light sheet, where the boat carries one."""
-        return self._where(self.has_strip(), "triangulation/strip/points.parquet")
 
     def bed_truth(self) -> list[str]:
         """Errors of the bed against the true one, of a twin."""
