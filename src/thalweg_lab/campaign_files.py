@@ -73,6 +73,8 @@ _RIG_FIELD: Final = {
 }
 _IMAGES_OF_PART: Final = 30
 """Images that one job draws of not too many: to set up the scene takes as long as some of them."""
+_REFERENCES_OF_PART: Final = 16
+"""The same of the reflex camera, whose images are large."""
 _MOST_PARTS: Final = 8
 _TIME_LAPSE: Final = {"time_lapse": ("time_lapse",), "control_points": ("control_points.csv",)}
 
@@ -133,6 +135,18 @@ def image_parts(files: CampaignFiles) -> list[str]:
     """Folders of their images; few images are drawn by the job that brings them together."""
     n = n_image_parts(files)
     return [f"results/{files.name}/simulation/time_lapse_{k}" for k in range(n if n > 1 else 0)]
+
+
+def n_reference_parts(files: CampaignFiles) -> int:
+    """Jobs that draw the reflex camera's images of a calibration field."""
+    n: int = files.section("twin", "camera", "reference", "n_images")
+    return min(math.ceil(n / _REFERENCES_OF_PART), _MOST_PARTS)
+
+
+def drawn_field_images(files: CampaignFiles, kind: str) -> list[str]:
+    """Folders of parts of a kind of images of the field; few are drawn where they are brought together."""
+    n = n_reference_parts(files) if kind == "reference" else 1
+    return [f"results/{files.name}/simulation/reference_images_{k}" for k in range(n if n > 1 else 0)]
 
 
 def rig_device(files: CampaignFiles) -> dict[str, Any]:

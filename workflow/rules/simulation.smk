@@ -38,6 +38,7 @@ rule simulate_mounts:
         same_boat=of(laboratory.calibrated_boat),
     output:
         true_mounts_file="results/{campaign}/simulation/truth/mounts.json",
+    priority: URGENT
     resources:
         mem_mb=memory(1500),
         runtime=minutes(10),

@@ -39,10 +39,34 @@ rule simulate_positions:
         "../scripts/simulate_positions.py"
 
 
+rule simulate_field_images_part:
+    """One part of the reflex camera's images of the field; the parts are jobs of their own."""
+    input:
+        true_mounts="results/{campaign}/simulation/truth/mounts.json",
+    output:
+        out_images=temp(
+            directory("results/{campaign}/simulation/reference_images_{part}")
+        ),
+    priority: URGENT
+    resources:
+        mem_mb=memory(3000),
+        runtime=minutes(60),
+    params:
+        **calls("thalweg_lab.yard_images.images:draw_field_images"),
+        config=of(CampaignFiles.twin_parts, "camera", "effects"),
+        kind="reference",
+        seed=SEED,
+        part=lambda wildcards: int(wildcards.part),
+        parts=of(laboratory.n_reference_parts),
+    script:
+        "../scripts/call.py"
+
+
 rule simulate_field_images:
     """Images of the field: by a reflex camera, by the boat's camera at each static position and in the run."""
     input:
         true_mounts="results/{campaign}/simulation/truth/mounts.json",
+        drawn=of_wildcard("field_images", laboratory.drawn_field_images),
     output:
         images=directory("results/{campaign}/simulation/logs/{field_images}_images"),
         times="results/{campaign}/simulation/truth/{field_images}_images.parquet",
@@ -51,7 +75,6 @@ rule simulate_field_images:
     wildcard_constraints:
         field_images="reference|position|run",
     priority: URGENT
-    threads: 2
     resources:
         mem_mb=memory(3000),
         runtime=minutes(60),

@@ -9,8 +9,18 @@ from thalweg_lab.voyage import read_true_mounts
 from thalweg_lab.yard_images import simulate_field_images
 
 
-def main(*, true_mounts: Path, images: Path, times: Path, kind: str, seed: int, twin: dict[str, Any]) -> None:
-    simulate_field_images(TwinConfig(**twin), seed, kind, read_true_mounts(true_mounts), images, times)
+def main(
+    *,
+    true_mounts: Path,
+    drawn: list[Path],
+    images: Path,
+    times: Path,
+    kind: str,
+    seed: int,
+    twin: dict[str, Any],
+) -> None:
+    mounts = read_true_mounts(true_mounts)
+    simulate_field_images(TwinConfig(**twin), seed, kind, mounts, images, times, drawn=drawn)
 
 
 if "snakemake" in globals():

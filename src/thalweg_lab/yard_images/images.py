@@ -1,5 +1,6 @@
 """The images of a calibration run: a tour with a reflex camera, the boat's camera standing and in motion."""
 
+import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,7 +29,7 @@ from thalweg_lab.instruments import Lasers
 from thalweg_lab.random_numbers import generator
 from thalweg_lab.river_images import Sun
 from thalweg_lab.settings import TwinConfig, TwinLens
-from thalweg_lab.voyage import FieldRun, standing, start_gps_s
+from thalweg_lab.voyage import FieldRun, read_true_mounts, standing, start_gps_s
 from thalweg_lab.writers import PhotoFacts, start_us, write_jpeg
 from thalweg_lab.yard import (
     Field,
@@ -88,7 +89,14 @@ def true_camera(lens: TwinLens, name: str) -> Camera:
 
 
 def simulate_field_images(
-    config: TwinConfig, seed: int, kind: str, mounts: Mapping[str, Any], out_folder: Path, out_times: Path
+    config: TwinConfig,
+    seed: int,
+    kind: str,
+    mounts: Mapping[str, Any],
+    out_folder: Path,
+    out_times: Path,
+    *,
+    drawn: Sequence[Path] = (),
 ) -> pd.DataFrame:
     """Take and write one set of images.
 
@@ -101,6 +109,7 @@ def simulate_field_images(
     mounts : true mounts, with ``camera``, ``lidar`` and ``antenna``.
     out_folder : for the images.
     out_times : true times and poses, table kind ``twin_image_times``.
+    drawn : folders of all parts of the images by `draw_field_images`; none: they are drawn here.
 
     Returns
     -------
@@ -112,13 +121,11 @@ def simulate_field_images(
     """
     if kind not in KINDS:
         raise ConfigError(f"images of the kind '{kind}'", expected=f"one of {', '.join(KINDS)}")
-    names, times, poses = _planned(config, seed, kind, mounts)
-    lens = _lens(config, kind)
-    out_folder.mkdir(parents=True, exist_ok=True)
-    smears = _smears(config, seed, times, poses, lens) if kind == "run" else [(0.0, 0.0)] * len(poses)
-    images = _taken(config, seed, kind, mounts, poses, smears)
-    for name, image, stamp in zip(names, images, times.stamp_us.tolist(), strict=True):
-        write_jpeg(out_folder / name, image, _facts(config, kind, stamp), quality=lens.jpeg_quality)
+    planned = names, times, poses = _planned(config, seed, kind, mounts)
+    for folder in drawn:
+        shutil.copytree(folder, out_folder, dirs_exist_ok=True)
+    if not drawn:
+        _draw(config, seed, kind, mounts, planned, out_folder, range(len(poses)))
     place = np.stack([p.shift_m for p in poses])
     q = Rotation.from_matrix(np.stack([p.R for p in poses])).as_quat()
     since_s = times.t_gps_s - start_gps_s(config)
@@ -137,6 +144,38 @@ def simulate_field_images(
     )
     write_table(out_times, table, IMAGE_TIMES, {"kind_of_images": kind})
     return table
+
+
+def draw_field_images(
+    config: TwinConfig, seed: int, kind: str, true_mounts: Path, out_images: Path, *, part: int, parts: int
+) -> None:
+    """Draw and write one part of a set of images, each ``parts``-th from number ``part`` on.
+
+    ``true_mounts`` is the file of the mounts; all else is that of `simulate_field_images`.
+    """
+    mounts = read_true_mounts(true_mounts)
+    planned = _planned(config, seed, kind, mounts)
+    _draw(config, seed, kind, mounts, planned, out_images, range(part, len(planned[0]), parts))
+
+
+def _draw(
+    config: TwinConfig,
+    seed: int,
+    kind: str,
+    mounts: Mapping[str, Any],
+    planned: tuple[list[str], ImageTimes, list[Rigid]],
+    folder: Path,
+    chosen: range,
+) -> None:
+    """Write the images of those numbers."""
+    names, times, poses = planned
+    lens = _lens(config, kind)
+    folder.mkdir(parents=True, exist_ok=True)
+    smears = _smears(config, seed, times, poses, lens) if kind == "run" else [(0.0, 0.0)] * len(poses)
+    images = _taken(config, seed, kind, mounts, poses, smears, chosen)
+    for k, image in zip(chosen, images, strict=True):
+        facts = _facts(config, kind, int(times.stamp_us[k]))
+        write_jpeg(folder / names[k], image, facts, quality=lens.jpeg_quality)
 
 
 def _planned(
@@ -209,15 +248,16 @@ def _taken(
     mounts: Mapping[str, Any],
     poses: Sequence[Rigid],
     smears: Sequence[tuple[float, float]],
+    chosen: range,
 ) -> Iterator[ArrayU8]:
-    """The images one after the other."""
+    """The images of those numbers one after the other."""
     lens = _lens(config, kind)
     rays = LensRays(true_camera(lens, kind), field_of_view_deg=lens.field_of_view_deg)
     # The light on the ground under the boat is taken as that of the yard without it.
     usual = Photographer(yard_of(config, seed, kind), SUN)
     T_ccs_ics = mount_of(mounts["camera"]).inverse()
-    for k, pose in enumerate(steps(poses, "image")):
-        photographer = usual
+    for k in steps(chosen, "image"):
+        pose, photographer = poses[k], usual
         if kind == "positions" and field_of(config).effects.passers_by:
             photographer = usual.with_yard(yard_of(config, seed, f"position {k + 1}"))
         if kind == "reference" and k >= len(poses) - BOAT_IMAGES:

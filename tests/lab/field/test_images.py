@@ -11,9 +11,9 @@ from scipy.spatial.transform import Rotation
 from thalweg.core import unix_from_gps
 from thalweg.settings.sections import Mounts
 from thalweg_lab.settings import TwinConfig
-from thalweg_lab.voyage import FieldRun, standing, true_mounts
+from thalweg_lab.voyage import FieldRun, standing, true_mounts, write_true_mounts
 from thalweg_lab.yard import build_field, tour
-from thalweg_lab.yard_images import mount_of, simulate_field_images, true_camera
+from thalweg_lab.yard_images import draw_field_images, mount_of, simulate_field_images, true_camera
 from thalweg_lab.yard_records import run_times
 
 SEED = 22
@@ -58,6 +58,22 @@ def folder(tmp_path_factory):
     for kind in ("reference", "positions", "run"):
         take(folder, kind, config())
     return folder
+
+
+def test_images_in_parts_are_those_of_one_job(folder, tmp_path):
+    """Byte by byte, the two of the boat among them, with the table of their times."""
+    write_true_mounts(tmp_path / "mounts.json", mounts(), MOUNTS)
+    drawn = [tmp_path / f"part_{k}" for k in range(2)]
+    for k, part in enumerate(drawn):
+        draw_field_images(config(), SEED, "reference", tmp_path / "mounts.json", part, part=k, parts=2)
+    counts = [len(list(part.iterdir())) for part in drawn]
+    assert min(counts) > 1
+    assert counts[0] - counts[1] in (0, 1)
+    out, times = tmp_path / "reference", tmp_path / "reference.parquet"
+    simulate_field_images(config(), SEED, "reference", mounts(), out, times, drawn=drawn)
+    whole = {path.name: path.read_bytes() for path in (folder / "reference").iterdir()}
+    assert {path.name: path.read_bytes() for path in out.iterdir()} == whole
+    assert times.read_bytes() == (folder / "reference.parquet").read_bytes()
 
 
 def table(folder, kind):
