@@ -73,7 +73,7 @@ _RIG_FIELD: Final = {
 }
 _IMAGES_OF_PART: Final = 30
 """Images that one job draws of not too many: to set up the scene takes as long as some of them."""
-_REFERENCES_OF_PART: Final = 16
+_REFERENCES_OF_PART: Final = 25
 """The same of the reflex camera, whose images are large."""
 _MOST_PARTS: Final = 8
 _TIME_LAPSE: Final = {"time_lapse": ("time_lapse",), "control_points": ("control_points.csv",)}
