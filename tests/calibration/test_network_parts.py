@@ -123,7 +123,7 @@ def scaled(
     """Points 1/0 .. 1/3 and 2/0 in a network that is half as large as the field."""
     points = ((1, 0), (1, 1), (1, 2), (1, 3), (2, 0))
     X = np.array([[0.0, 0, 0], [1.0, 0, 0], [0, 2.0, 0], [0, 0, 3.0], [3.0, 4.0, 0]])
-    layout = SimpleNamespace(point=lambda p: slice(2 + 3 * p, 5 + 3 * p))
+    layout = SimpleNamespace(point=lambda p: slice(2 + 3 * p, 5 + 3 * p), names="." * 17)
     adjusted = SimpleNamespace(
         x=SimpleNamespace(X=X), cov=np.zeros((17, 17)) if cov is None else cov, names="." * 17
     )

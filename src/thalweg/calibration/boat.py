@@ -10,7 +10,7 @@ orientation where the antenna was seen by a marker, and that of the camera on bo
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final, Literal, Protocol, Self
 
@@ -114,7 +114,7 @@ def assemble(
             "the run used the antenna's marker, which is not given here",
             expected="the antenna as it entered the run",
         )
-    relative = T_ccs_scs if T_ccs_scs is not None else Rigid(R=np.eye(3), shift_m=np.zeros(3))
+    relative = T_ccs_scs or Rigid()
     echo_cov = np.zeros((3, 3)) if echo_sounder is None else echo_sounder.cov_m2
     cov = _independent(ins_lidar, relative.cov, antenna, echo_cov)
     mount = ins_lidar.T_ics_scs
@@ -129,32 +129,13 @@ def assemble(
         block, _ = pose_block("camera", mount @ back)
         blocks.append(block)
         rows.append(_DEGREES @ _columns(lidar=first, relative=second @ relative.by_inverse()))
-    defined = lever_block("antenna", lever_ics_antenna_m)
-    blocks.append(
-        Block(
-            name=defined.name,
-            quantities=defined.quantities,
-            values=defined.values,
-            equation=defined.equation,
-            convention=defined.convention,
-            facts={"note": DEFINED},
-        )
-    )
+    blocks.append(replace(lever_block("antenna", lever_ics_antenna_m), facts={"note": DEFINED}))
     rows.append(np.zeros((3, 15)))
     if echo_sounder is not None:
         start, by_lidar = _measured_from(echo_sounder, mount, np.asarray(lever_ics_antenna_m))
         place = lever_block("echo_sounder", start + echo_sounder.lever_m)
         facts = {"method": echo_sounder.method, "measured_from": echo_sounder.measured_from}
-        blocks.append(
-            Block(
-                name=place.name,
-                quantities=place.quantities,
-                values=place.values,
-                equation=place.equation,
-                convention=place.convention,
-                facts=facts,
-            )
-        )
+        blocks.append(replace(place, facts=facts))
         rows.append(_columns(lidar=by_lidar, echo=np.eye(3)))
     J = np.concatenate(rows)
     joint = J @ cov @ J.T

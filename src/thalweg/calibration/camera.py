@@ -87,7 +87,7 @@ def start_poses(block: Block, points: FieldPoints) -> tuple[dict[int, Rigid], di
     left: dict[str, str] = {}
     angles_of: list[float] = []
     for i, image in enumerate(block.images):
-        mine = np.flatnonzero((block.image == i) & np.isfinite(block.rays).all(axis=1))
+        mine = block.rows(i, np.ones(len(X), np.bool_))
         markers = set(block.marker[mine].tolist())
         if len(mine) < _LEAST_MARKS or len(markers) < 2:
             left[image] = (
@@ -189,8 +189,7 @@ def orient_on_field(
         )
     index = points.index
     at = np.array([index[p] for p in block.points])
-    rows = (3 * at[:, None] + np.arange(3)).ravel()
-    cov = points.cov[np.ix_(rows, rows)] + np.eye(len(rows)) * _SMALLEST_SIGMA_M**2
+    cov = points.cov_of(at) + np.eye(3 * len(at)) * _SMALLEST_SIGMA_M**2
     control = Control(np.arange(len(at)), points.points_pcs[at], cov)
     problem = Problem(
         block,
@@ -200,11 +199,10 @@ def orient_on_field(
         control=control,
         weighted=weighted,
     )
-    identity = Rigid(R=np.eye(3), shift_m=np.zeros(3))
     x = start_state(
         block.images,
         cameras,
-        {i: poses.get(i, identity) for i in range(len(block.images))},
+        {i: poses.get(i, Rigid()) for i in range(len(block.images))},
         points.points_pcs[at],
     )
     oriented = np.array([i in poses for i in range(len(block.images))])

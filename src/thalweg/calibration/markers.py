@@ -4,7 +4,7 @@ import os
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -615,6 +615,16 @@ class Block:
     def marker(self) -> ArrayI:
         """(m,) marker of each mark."""
         return np.array([p[0] for p in self.points], np.int64)[self.point]
+
+    def rows(self, image: int, known: ArrayB) -> ArrayI:
+        """Marks of a picture that have a ray, of known points (p,)."""
+        mine = np.flatnonzero((self.image == image) & known[self.point])
+        return mine[np.isfinite(self.rays[mine]).all(axis=1)]
+
+    def taken(self, rows: ArrayB) -> "Block":
+        """Some of the marks (m,), of the same pictures and points."""
+        names = ("image", "point", "xy_px", "sigma_px", "rays")
+        return replace(self, **{name: getattr(self, name)[rows] for name in names})
 
 
 def block_of(marks: pd.DataFrame, cameras: Mapping[str, Camera]) -> Block:

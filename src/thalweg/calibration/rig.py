@@ -261,6 +261,10 @@ def _stitched(path: Path, found: str) -> InputError:
 # ---------------------------------------------------------------- rig
 
 
+def _axes_deg(T_back_front: Rigid) -> float:
+    return float(np.rad2deg(np.arccos(np.clip(T_back_front.R[2, 2], -1.0, 1.0))))
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rig:
     """A calibrated rig.
@@ -288,13 +292,12 @@ class Rig:
     @property
     def axes_deg(self) -> float:
         """Angle between both views, degrees."""
-        return float(np.rad2deg(np.arccos(np.clip(self.T_back_front.R[2, 2], -1.0, 1.0))))
+        return _axes_deg(self.T_back_front)
 
     @property
     def T_front_lens(self) -> dict[str, Rigid]:
         """Place of each lens in the frame of the rig."""
-        nothing = Rigid(R=np.eye(3), shift_m=np.zeros(3))
-        return {"front": nothing, "back": self.T_back_front.inverse()}
+        return {"front": Rigid(), "back": self.T_back_front.inverse()}
 
     @property
     def centre_front_m(self) -> ArrayF:
@@ -476,9 +479,9 @@ def calibrate_rig(
         for i, name in enumerate(LENSES)
     }
     T = found.x.T.with_cov(cov_rig[2 * k :, 2 * k :])
-    if np.rad2deg(np.arccos(np.clip(T.R[2, 2], -1, 1))) < _OPPOSITE_DEG:
+    if _axes_deg(T) < _OPPOSITE_DEG:
         raise GeometryError(
-            f"both lenses look the same way within {np.rad2deg(np.arccos(T.R[2, 2])):.1f} degrees",
+            f"both lenses look the same way within {_axes_deg(T):.1f} degrees",
             expected="lenses that look apart",
             where="rig",
             cure="Check that rig.front.box_px and rig.back.box_px are not boxes of the same lens",
@@ -487,7 +490,7 @@ def calibrate_rig(
         {
             "file": common,
             "base_m": [float(np.linalg.norm(T.shift_m)) for T in relative],
-            "axes_deg": [float(np.rad2deg(np.arccos(np.clip(T.R[2, 2], -1, 1)))) for T in relative],
+            "axes_deg": [_axes_deg(T) for T in relative],
             "length": length,
             "used": used,
         }

@@ -37,7 +37,7 @@ _HALVES: Final = np.r_[3:6, 0:3]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rigid:
-    """``T_target_source`` with the covariance of its error.
+    """``T_target_source`` with the covariance of its error; by default both frames are the same.
 
     Parameters
     ----------
@@ -56,8 +56,8 @@ class Rigid:
     array([[1., 2., 3.]])
     """
 
-    R: ArrayF
-    shift_m: ArrayF
+    R: ArrayF = field(default_factory=lambda: np.eye(3))
+    shift_m: ArrayF = field(default_factory=lambda: np.zeros(3))
     cov: ArrayF = field(default_factory=lambda: np.zeros((6, 6)))
 
     def __post_init__(self) -> None:

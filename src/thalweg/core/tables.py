@@ -164,13 +164,15 @@ def write_marked(path: Path, *, kind: str, version: int, content: Mapping[str, A
     path.write_text(json.dumps(facts, indent=2) + "\n")
 
 
-def read_marked(path: Path, key: str, *, kind: str, version: int, what: str, cure: str) -> dict[str, Any]:
-    """One mapping of a file that `write_marked` wrote.
+def read_marked(
+    path: Path, key: str = "", *, kind: str, version: int, what: str, cure: str
+) -> dict[str, Any]:
+    """What `write_marked` wrote, or one mapping of it.
 
     Parameters
     ----------
     path : the file.
-    key : name of the mapping in it.
+    key : name of the mapping in it; by default the whole content, behind its kind and version.
     kind, version : what the file must be.
     what : in words, for messages: "mounts of a campaign".
     cure : how to make the file.
@@ -182,7 +184,7 @@ def read_marked(path: Path, key: str, *, kind: str, version: int, what: str, cur
     expected = f"{kind}, version {version}"
     facts = read_json(path, what, cure)
     try:
-        found, content = (facts["kind"], facts["version"]), dict(facts[key])
+        found, content = (facts["kind"], facts["version"]), dict(facts[key] if key else facts)
     except (ValueError, KeyError, TypeError) as error:
         raise InputError(f"no {what} ({error!r})", expected=expected, where=path, cure=cure) from error
     if found != (kind, version):

@@ -33,7 +33,7 @@ class TrueRig:
     @property
     def T_front_lens(self) -> dict[str, Rigid]:
         """Place of each lens in the frame of the front lens."""
-        return {"front": Rigid(R=np.eye(3), shift_m=np.zeros(3)), "back": self.T_back_front.inverse()}
+        return {"front": Rigid(), "back": self.T_back_front.inverse()}
 
     @property
     def centre_front_m(self) -> ArrayF:

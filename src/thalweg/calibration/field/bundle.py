@@ -33,6 +33,7 @@ from thalweg.core import (
     adjust,
     cross_matrix,
     exp_rotation,
+    normal_equations,
 )
 
 MARKS: Final = "marks"
@@ -137,6 +138,12 @@ class Problem:
     cov_known: ArrayF | None = None
     """(p, 3, 3) covariances of points that are no unknowns: they count in those of the marks."""
 
+    @property
+    def known(self) -> ArrayB:
+        """(p,) control points."""
+        at = () if self.control is None else self.control.at
+        return np.isin(np.arange(len(self.block.points)), at)
+
 
 class Layout:
     """Places of the unknowns in the vector: cameras, pictures, points."""
@@ -220,7 +227,8 @@ def robust_start(problem: Problem, x: State, steps: int = 40) -> State:
     nominal = x.cameras
     width = np.inf
     for _ in range(steps):
-        part = marks_model(problem, layout, x)
+        marks, *others = _groups(problem, layout, nominal)
+        part = marks.model(x)
         sigma = problem.block.sigma_px[problem.used]
         length = np.linalg.norm(part.residual.reshape(-1, 2), axis=1) / sigma
         # slowly: a part of the block that still hangs askew must not be taken for wrong marks
@@ -229,14 +237,9 @@ def robust_start(problem: Problem, x: State, steps: int = 40) -> State:
         )
         weight = 1.0 / (1.0 + np.square(length / width)) / sigma
         rows = sparse.diags_array(np.repeat(weight, 2)) @ part.jacobian
-        N = np.asarray((rows.T @ rows).todense())
-        n = rows.T @ (part.residual * np.repeat(weight, 2))
-        for group in _groups(problem, layout, nominal)[1:]:
-            other = group.model(x)
-            J = np.asarray(other.jacobian)
-            weighted = J / other.cov[:, None] if other.cov.ndim == 1 else np.linalg.solve(other.cov[0], J)
-            N += weighted.T @ J if other.normal is None else other.normal
-            n += weighted.T @ other.residual
+        all_but_marks = normal_equations(others, x, len(layout.names), [None] * len(others), None)
+        N = all_but_marks.N + (rows.T @ rows).toarray()
+        n = all_but_marks.n + rows.T @ (part.residual * np.repeat(weight, 2))
         scale = np.sqrt(np.maximum(np.diag(N), 1e-30))
         Ns = N / np.outer(scale, scale) + _DAMPING * np.eye(len(N))
         if problem.control is None:
@@ -281,7 +284,7 @@ def mark_tests(problem: Problem, layout: Layout, adjusted: Adjusted[State]) -> A
 def _groups(problem: Problem, layout: Layout, nominal: Sequence[Camera]) -> list[Observations[State]]:
     groups: list[Observations[State]] = [Observations(MARKS, lambda x: marks_model(problem, layout, x))]
     if problem.bars:
-        groups.append(Observations(BARS, lambda x: _bars(problem.bars, layout, x)))
+        groups.append(Observations(BARS, lambda x: bars_model(problem.bars, layout, x)))
     if problem.control is not None:
         control = problem.control
         groups.append(Observations(CONTROL, lambda x: _control(control, layout, x)))
@@ -341,7 +344,8 @@ def marks_model(problem: Problem, layout: Layout, x: State, rows: ArrayB | None 
     return Linear(residual=residual.ravel(), jacobian=J.toarray() if len(block.images) == 1 else J, cov=cov)
 
 
-def _bars(bars: tuple[Bar, ...], layout: Layout, x: State) -> Linear:
+def bars_model(bars: tuple[Bar, ...], layout: Layout, x: State) -> Linear:
+    """Lengths between the ends of scale bars less those of their certificates."""
     J = np.zeros((len(bars), len(layout.names)))
     residual = np.empty(len(bars))
     for k, bar in enumerate(bars):
@@ -416,15 +420,14 @@ def reduced(problem: Problem, x: State, points: ArrayB, images: ArrayB) -> tuple
     b = problem.block
     keep = points[b.point] & images[b.image]
     new_point, new_image = np.cumsum(points) - 1, np.cumsum(images) - 1
-    block = Block(
+    block = b.taken(keep)
+    block = replace(
+        block,
         images=tuple(n for n, k in zip(b.images, images, strict=True) if k),
         camera_of=tuple(n for n, k in zip(b.camera_of, images, strict=True) if k),
         points=tuple(p for p, k in zip(b.points, points, strict=True) if k),
-        image=new_image[b.image[keep]],
-        point=new_point[b.point[keep]],
-        xy_px=b.xy_px[keep],
-        sigma_px=b.sigma_px[keep],
-        rays=b.rays[keep],
+        image=new_image[block.image],
+        point=new_point[block.point],
     )
     for bar in problem.bars:
         for end in (bar.start, bar.end):
@@ -509,8 +512,7 @@ def clean(
         problem = replace(problem, used=used)
         if stable:
             weak = _contradicting(problem, tests)
-    factor = {k: np.sqrt(s) for k, s in _sigma0_squared(problem, adjusted).items()}
-    return _rescaled(problem, factor), adjusted, layout, rejected
+    return _rescaled(problem, _sigma0(problem, adjusted)), adjusted, layout, rejected
 
 
 def _solved(problem: Problem, x: State) -> tuple[Adjusted[State], Layout]:
@@ -533,9 +535,7 @@ def _reposed(problem: Problem, x: State) -> State | None:
     n = len(block.images)
     share = np.bincount(block.image[near], minlength=n) / np.maximum(np.bincount(block.image, minlength=n), 1)
     good = near & (share[block.image] >= _WELL)
-    known = np.bincount(block.point[good], minlength=len(block.points)) >= 2
-    if problem.control is not None:
-        known[problem.control.at] = True
+    known = problem.known | (np.bincount(block.point[good], minlength=len(block.points)) >= 2)
     R, C, changed = x.R.copy(), x.C.copy(), False
     for i in np.flatnonzero(share < _WELL):
         mine = np.flatnonzero((block.image == i) & known[block.point])
@@ -558,10 +558,7 @@ def _contradicting(problem: Problem, tests: ArrayF) -> ArrayB:
     block, n = problem.block, len(problem.block.points)
     rays = np.bincount(block.point[problem.used], minlength=n)
     doubtful = problem.used & (tests > float(chi2.isf(chi2.sf(_DOUBT_SIGMAS**2, 1), 2)))
-    weak = (np.bincount(block.point[doubtful], minlength=n) > 0) & (rays <= LEAST_RAYS)
-    if problem.control is not None:
-        weak[problem.control.at] = False
-    return weak
+    return (np.bincount(block.point[doubtful], minlength=n) > 0) & (rays <= LEAST_RAYS) & ~problem.known
 
 
 def _losses_in_words(problem: Problem, lost: list[Rejected]) -> list[Rejected]:
@@ -616,9 +613,7 @@ def thinned(
     block = problem.block
     keep_points = points & np.isfinite(x.X).all(axis=1)
     keep_images = images.copy()
-    known = np.zeros(len(block.points), bool)
-    if problem.control is not None:
-        known[problem.control.at] = True
+    known = problem.known
     least = np.array([2 if p[0] in few else LEAST_RAYS for p in block.points])
     least_marks = LEAST_MARKS if problem.control is None else LEAST_KNOWN_MARKS
     markers = np.array([p[0] for p in block.points], np.int64)
@@ -694,19 +689,17 @@ def _robust_factor(problem: Problem, x: State) -> dict[int, float]:
 
 
 def _rescaled(problem: Problem, factor: dict[int, float]) -> Problem:
-    camera = problem.camera[problem.block.image]
-    scale = np.array([factor[k] for k in range(max(factor) + 1) if k in factor])
-    place = {k: i for i, k in enumerate(sorted(factor))}
-    sigma = problem.block.sigma_px * scale[[place[k] for k in camera.tolist()]]
+    scale = np.array([factor.get(k, 1.0) for k in range(max(factor) + 1)])
+    sigma = problem.block.sigma_px * scale[problem.camera[problem.block.image]]
     return replace(problem, block=replace(problem.block, sigma_px=sigma))
 
 
-def _sigma0_squared(problem: Problem, adjusted: Adjusted[State]) -> dict[int, float]:
+def _sigma0(problem: Problem, adjusted: Adjusted[State]) -> dict[int, float]:
     """By camera, sum of squared standardised residuals of used marks over their share of the redundancy."""
     squares = np.square(adjusted.standardised[MARKS])
     camera = problem.camera[problem.block.image[problem.used]]
     share = adjusted.group_redundancy[MARKS] / (2 * len(squares))
     return {
-        k: float(squares[camera == k].sum() / (2 * (camera == k).sum() * share))
+        k: float(np.sqrt(squares[camera == k].sum() / (2 * (camera == k).sum() * share)))
         for k in np.unique(camera).tolist()
     }

@@ -156,10 +156,6 @@ def _adjust(pcs: ArrayF, cov: ArrayF, wcs: ArrayF, rtk: ArrayF, used: ArrayB) ->
         raise _one_line([]) from error
 
 
-def _tolerances_m(targets: Sequence[Target], least_m: float, sigmas: float) -> ArrayF:
-    return np.array([least_m + sigmas * float(np.linalg.norm(t.sigma_m)) for t in targets])
-
-
 def _sigma_scale(pcs: ArrayF, cov: ArrayF, rtk: ArrayF, place: Rigid) -> float:
     """Relative sigma of the scale by the targets; it hardly depends on turn and shift of the field."""
     away = (pcs - pcs.mean(axis=0)) @ place.R.T

@@ -21,7 +21,7 @@ from thalweg.calibration.field.network import (
     start_network,
 )
 from thalweg.calibration.field.points import FieldPoints
-from thalweg.core import Camera, GeometryError, InputError, LocalFrame, Model, Rigid, ThalwegError, read_json
+from thalweg.core import Camera, GeometryError, LocalFrame, Model, Rigid, ThalwegError, read_marked
 
 _NAMED: Final = 8
 """Points named of those with one reason."""
@@ -320,18 +320,9 @@ def read_facts(path: Path) -> dict[str, Any]:
     ------
     InputError : the file is missing or something else.
     """
-    facts = read_json(path, "facts of a calibration field")
-    try:
-        known = (facts["kind"], facts["version"]) == (KIND, VERSION)
-    except (ValueError, KeyError, TypeError) as error:
-        raise InputError(
-            f"no facts of a field ({error!r})", expected=f"{KIND}, version {VERSION}", where=path
-        ) from error
-    if not known:
-        raise InputError(
-            f"{facts['kind']}, version {facts['version']}", expected=f"{KIND}, version {VERSION}", where=path
-        )
-    return dict(facts)
+    return read_marked(
+        path, kind=KIND, version=VERSION, what="facts of a calibration field", cure="Adjust the field again"
+    )
 
 
 def read_place(path: Path) -> Rigid:

@@ -20,6 +20,7 @@ from thalweg.calibration.field.bundle import (
     Problem,
     Rejected,
     State,
+    bars_model,
     clean,
     mark_lengths,
     marks_model,
@@ -222,7 +223,7 @@ def measure_field(
         block, np.array([number[c] for c in block.camera_of], np.int64), np.ones(len(block.image), bool), free
     )
     images = np.array([i in start.poses for i in range(len(block.images))])
-    poses = {i: start.poses.get(i, Rigid(R=np.eye(3), shift_m=np.zeros(3))) for i in range(len(block.images))}
+    poses = {i: start.poses.get(i, Rigid()) for i in range(len(block.images))}
     x = start_state(block.images, used_cameras, poses, start.points)
     x = transformed(x, *_frame(block, x, images, approximate))
     problem, x, lost = thinned(
@@ -233,7 +234,7 @@ def measure_field(
     rejected += cleaned
     bars, scale = _scaled(field, problem, adjusted, layout, rejected)
     problem = replace(problem, bars=bars)
-    x = transformed(adjusted.x, scale.factor, Rigid(R=np.eye(3), shift_m=np.zeros(3)))
+    x = transformed(adjusted.x, scale.factor, Rigid())
     # once more: the approximate field may have been askew
     x = transformed(x, *_frame(problem.block, x, np.ones(len(x.C), bool), approximate, scaled=False))
     adjusted, layout = solve(problem, x)
@@ -296,19 +297,14 @@ def _scaled(
             expected="both ends of a bar in three pictures or more",
             cure="Take more pictures that show the bars",
         )
-    X, cov = adjusted.x.X, adjusted.cov
-    J = np.zeros((len(bars), len(adjusted.names)))
-    length = np.empty(len(bars))
-    for k, bar in enumerate(bars):
-        d = X[bar.end] - X[bar.start]
-        length[k] = np.linalg.norm(d)
-        J[k, layout.point(bar.end)], J[k, layout.point(bar.start)] = d / length[k], -d / length[k]
+    measured, stated_m = bars_model(tuple(bars), layout, adjusted.x), np.array([bar.length_m for bar in bars])
+    J = measured.jacobian
     scale = scale_of(
         [bar.name for bar in bars],
-        np.array([bar.length_m for bar in bars]),
+        stated_m,
         np.array([bar.sigma_m for bar in bars]),
-        length,
-        J @ cov @ J.T,
+        stated_m + measured.residual,
+        J @ adjusted.cov @ J.T,
     )
     for bar, used, off in zip(bars, scale.used, scale.off_m, strict=True):
         if not used:
@@ -413,20 +409,28 @@ def scale_of(names: Sequence[str], stated_m: ArrayF, sigma_m: ArrayF, measured: 
             expected="at least two scale bars in the field description",
             cure="Put two bars of known length into the field and take the pictures again",
         )
+
+    def fitted(used: ArrayB) -> tuple[float, float, float]:
+        """Scale by some bars, its sigma, and the probability that they differ as much if all are right."""
+        stated, length = stated_m[used], measured[used]
+        rough = float(np.median(stated / length))
+        W = np.linalg.inv(rough**2 * cov[np.ix_(used, used)] + np.diag(np.square(sigma_m[used])))
+        N = float(length @ W @ length)
+        factor = float(length @ W @ stated) / N
+        v = stated - factor * length
+        return factor, N**-0.5, float(chi2.sf(v @ W @ v, len(v) - 1)) if len(v) > 1 else 1.0
+
     used = np.ones(b, dtype=np.bool_)
-    if b > 1 and _contradiction(stated_m, sigma_m, measured, cov, used) < _LEVEL:
+    if fitted(used)[2] < _LEVEL:
         if b == 2:
-            factor, _ = _factor(stated_m, sigma_m, measured, cov, np.array([True, False]))
-            off = (factor * measured[1] - stated_m[1]) * 1000.0
+            off = (fitted(np.array([True, False]))[0] * measured[1] - stated_m[1]) * 1000.0
             raise GeometryError(
                 f"the scale bars {names[0]} and {names[1]} contradict each other, one of them is wrong: by "
                 f"{names[0]}, {names[1]} is {off:+.2f} mm longer than its {stated_m[1]:.5f} m",
                 expected="bars that agree within their sigmas",
                 cure="Check lengths and end marks in the field description; a third bar would tell which",
             )
-        fits = np.array(
-            [_contradiction(stated_m, sigma_m, measured, cov, np.arange(b) != k) for k in range(b)]
-        )
+        fits = np.array([fitted(np.arange(b) != k)[2] for k in range(b)])
         wrong = int(fits.argmax())
         if fits[wrong] < _LEVEL:
             raise GeometryError(
@@ -435,7 +439,7 @@ def scale_of(names: Sequence[str], stated_m: ArrayF, sigma_m: ArrayF, measured: 
                 cure="Check lengths, sigmas and end marks in the field description",
             )
         used[wrong] = False
-    factor, sigma = _factor(stated_m, sigma_m, measured, cov, used)
+    factor, sigma, _ = fitted(used)
     off, sigma_off = np.empty(b), np.empty(b)
     for k in range(b):
         others = used.copy()
@@ -443,37 +447,10 @@ def scale_of(names: Sequence[str], stated_m: ArrayF, sigma_m: ArrayF, measured: 
         if not others.any():
             off[k], sigma_off[k] = 0.0, np.nan
             continue
-        own, own_sigma = _factor(stated_m, sigma_m, measured, cov, others)
+        own, own_sigma, _ = fitted(others)
         off[k] = stated_m[k] - own * measured[k]
         sigma_off[k] = np.sqrt(sigma_m[k] ** 2 + own**2 * cov[k, k] + (own_sigma * measured[k]) ** 2)
     return Scale(factor, sigma, used, off, sigma_off)
-
-
-def _factor(
-    stated: ArrayF, sigma: ArrayF, measured: ArrayF, cov: ArrayF, used: ArrayB
-) -> tuple[float, float]:
-    S, m, s = _system(stated, sigma, measured, cov, used)
-    W = np.linalg.inv(S)
-    N = float(m @ W @ m)
-    return float(m @ W @ s) / N, N**-0.5
-
-
-def _contradiction(stated: ArrayF, sigma: ArrayF, measured: ArrayF, cov: ArrayF, used: ArrayB) -> float:
-    """Probability of a contradiction at least as large if all used bars are right."""
-    if used.sum() < 2:
-        return 1.0
-    factor, _ = _factor(stated, sigma, measured, cov, used)
-    S, m, s = _system(stated, sigma, measured, cov, used)
-    v = s - factor * m
-    return float(chi2.sf(v @ np.linalg.solve(S, v), used.sum() - 1))
-
-
-def _system(
-    stated: ArrayF, sigma: ArrayF, measured: ArrayF, cov: ArrayF, used: ArrayB
-) -> tuple[ArrayF, ArrayF, ArrayF]:
-    rough = float(np.median(stated[used] / measured[used]))
-    S = rough**2 * cov[np.ix_(used, used)] + np.diag(np.square(sigma[used]))
-    return S, measured[used], stated[used]
 
 
 # ---------------------------------------------------------------- approximate poses and points
@@ -507,7 +484,7 @@ def start_network(block: Block, layout: MarkerLayout) -> Start:
             cure="Take pictures from farther away or with a wider lens, so that each shows several sheets",
         )
     first = max(sorted(count), key=lambda i: count[i])
-    start = Start({first: Rigid(R=np.eye(3), shift_m=np.zeros(3))}, np.full((len(block.points), 3), np.nan))
+    start = Start({first: Rigid()}, np.full((len(block.points), 3), np.nan))
     rough = dict(centres[first])
     waiting = set(range(len(block.images))) - {first}
     next_sweep = 3
@@ -562,13 +539,23 @@ def misfit_px(block: Block, start: Start, focal_px: float) -> float:
 
 def _off_rad(block: Block, start: Start) -> ArrayF:
     """(m,) angle between the ray of a mark and the direction to its point, NaN where one is unknown."""
-    R = np.full((len(block.images), 3, 3), np.nan)
-    C = np.full((len(block.images), 3), np.nan)
-    for image, pose in start.poses.items():
-        R[image], C[image] = pose.R, pose.shift_m
+    R, C = _placed(block, start.poses)
     away = start.points[block.point] - C[block.image]
     local = np.einsum("mji,mj->mi", R[block.image], away)
     return np.asarray(np.linalg.norm(_unit(local) - block.rays, axis=1))
+
+
+def _misses(pose: Rigid, points: ArrayF, rays: ArrayF) -> ArrayF:
+    """(n,) angles between rays and the directions to their points."""
+    return np.asarray(np.linalg.norm(_unit((points - pose.shift_m) @ pose.R) - rays, axis=1))
+
+
+def _placed(block: Block, poses: dict[int, Rigid]) -> tuple[ArrayF, ArrayF]:
+    """Rotations (i, 3, 3) and projection centres (i, 3) of all pictures, NaN without a pose."""
+    R, C = np.full((len(block.images), 3, 3), np.nan), np.full((len(block.images), 3), np.nan)
+    for image, pose in poses.items():
+        R[image], C[image] = pose.R, pose.shift_m
+    return R, C
 
 
 def _known(
@@ -582,8 +569,7 @@ def _resected(
     block: Block, image: int, start: Start, solved: ArrayB, rough: dict[int, ArrayF], rays: dict[int, ArrayF]
 ) -> Rigid | None:
     """Pose of an image on intersected saddles, or else on the centres of sheets; None if neither is safe."""
-    mine = np.flatnonzero((block.image == image) & solved[block.point])
-    mine = mine[np.isfinite(block.rays[mine]).all(axis=1)]
+    mine = block.rows(image, solved)
     markers = len(set(block.marker[mine]))
     if markers >= 2 and len(mine) >= _LEAST_SADDLES:
         pose, angles = _pose(start.points[block.point[mine]], block.rays[mine], block.marker[mine], _FINE_RAD)
@@ -647,11 +633,11 @@ def _sweep(block: Block, sure: Block, start: Start, times: int) -> None:
     """Points from poses and the sure marks, and poses from points, in turns."""
     for _ in range(times):
         start.points = _intersect(sure, start.poses)
+        solved = np.isfinite(start.points[:, 0])
         for image, pose in start.poses.items():
-            mine = np.flatnonzero((block.image == image) & np.isfinite(start.points[block.point, 0]))
-            mine = mine[np.isfinite(block.rays[mine]).all(axis=1)]
+            mine = block.rows(image, solved)
             points, rays = start.points[block.point[mine]], block.rays[mine]
-            off = np.linalg.norm(_unit((points - pose.shift_m) @ pose.R) - rays, axis=1)
+            off = _misses(pose, points, rays)
             near = off < max(_FINE_RAD, 3 * float(np.median(off))) if len(off) else off > 0
             if near.sum() >= 6:
                 start.poses[image] = improved_pose(pose, points[near], rays[near])
@@ -673,16 +659,8 @@ def _join(
     rows = np.isin(block.image, list(waiting))
     if len(waiting) < 2 or len(start.poses) < 2 or not rows.any():
         return set()
-    part = replace(
-        block,
-        image=block.image[rows],
-        point=block.point[rows],
-        xy_px=block.xy_px[rows],
-        sigma_px=block.sigma_px[rows],
-        rays=block.rays[rows],
-    )
     try:
-        other = start_network(part, layout)
+        other = start_network(block.taken(rows), layout)
     except GeometryError:
         return set()
     T = _aligned(_places(block, other, centres), _places(block, start, centres))
@@ -700,14 +678,12 @@ def _repair(block: Block, sure: Block, start: Start) -> None:
     for image in sorted((i for i in fitting if fitting[i] < _FITS_WELL), key=lambda i: (fitting[i], i)):
         others = {i: pose for i, pose in start.poses.items() if i != image}
         points = _intersect(sure, others)
-        mine = np.flatnonzero((block.image == image) & np.isfinite(points[block.point, 0]))
-        mine = mine[np.isfinite(block.rays[mine]).all(axis=1)]
+        mine = block.rows(image, np.isfinite(points[:, 0]))
         if len(mine) < _LEAST_SADDLES or len(set(block.marker[mine])) < _LEAST_MARKERS:
             continue
         there, rays = points[block.point[mine]], block.rays[mine]
         pose, angles = _pose(there, rays, block.marker[mine], _FINE_RAD)
-        old = start.poses[image]
-        before = np.linalg.norm(_unit((there - old.shift_m) @ old.R) - rays, axis=1)
+        before = _misses(start.poses[image], there, rays)
         if pose is not None and (angles < _FINE_RAD).mean() > (before < _FINE_RAD).mean():
             start.poses[image] = pose
 
@@ -716,8 +692,7 @@ def _intersect(block: Block, poses: dict[int, Rigid]) -> ArrayF:
     """Points (p, 3) nearest to their rays, wrong ones weighted down; NaN without two that cross."""
     n = len(block.points)
     rows = np.flatnonzero(np.isin(block.image, list(poses)) & np.isfinite(block.rays).all(axis=1))
-    R = np.stack([poses[i].R if i in poses else np.eye(3) for i in range(len(block.images))])
-    C = np.stack([poses[i].shift_m if i in poses else np.zeros(3) for i in range(len(block.images))])
+    R, C = _placed(block, poses)
     image, point = block.image[rows], block.point[rows]
     d = np.einsum("mij,mj->mi", R[image], block.rays[rows])
     across = np.eye(3) - d[:, :, None] * d[:, None, :]

@@ -6,9 +6,10 @@ from typing import Final
 
 import numpy as np
 import pandas as pd
+from numpy.typing import ArrayLike
 
 from thalweg.calibration import mark_name, parse_mark
-from thalweg.core import ArrayF, InputError
+from thalweg.core import ArrayF, InputError, require_file
 
 POINT_COLUMNS: Final = ("mark", "x_m", "y_m", "z_m", "sigma_x_m", "sigma_y_m", "sigma_z_m")
 
@@ -45,18 +46,21 @@ class FieldPoints:
                 expected="all four: its centre is their mean",
                 cure=f"Take more pictures that show marker {marker}",
             )
-        rows = (3 * np.array(at)[:, None] + np.arange(3)).ravel()
         mean = np.tile(np.eye(3), 4) / 4
-        return self.points_pcs[at].mean(axis=0), mean @ self.cov[np.ix_(rows, rows)] @ mean.T
+        return self.points_pcs[at].mean(axis=0), mean @ self.cov_of(at) @ mean.T
+
+    def cov_of(self, at: ArrayLike) -> ArrayF:
+        """Joint covariance (3k, 3k) of the coordinates of some points (k,)."""
+        rows = (3 * np.asarray(at, np.int64)[:, None] + np.arange(3)).ravel()
+        return self.cov[np.ix_(rows, rows)]
 
     def without(self, markers: set[int]) -> "FieldPoints":
         """The points of all other markers."""
-        keep = np.array([m not in markers for m, _ in self.points])
-        rows = np.repeat(keep, 3)
+        keep = [i for i, (m, _) in enumerate(self.points) if m not in markers]
         return FieldPoints(
-            points=tuple(p for p, k in zip(self.points, keep, strict=True) if k),
+            points=tuple(self.points[i] for i in keep),
             points_pcs=self.points_pcs[keep],
-            cov=self.cov[np.ix_(rows, rows)],
+            cov=self.cov_of(keep),
         )
 
     def table(self) -> pd.DataFrame:
@@ -90,8 +94,7 @@ def read_points(path: Path) -> FieldPoints:
     ------
     InputError : the file is missing, lacks columns, or does not fit the covariance beside it.
     """
-    if not path.is_file():
-        raise InputError("file not found", expected="reference points of a field", where=path)
+    require_file(path, "reference points of a field")
     table = pd.read_csv(path)
     missing = [name for name in POINT_COLUMNS if name not in table.columns]
     if missing:

@@ -167,7 +167,7 @@ def predicted(marks: pd.DataFrame, camera: Camera, field: FieldDescription) -> P
         misfit = misfit_px(block, start, float(camera.parameters[0]))
         n = len(block.images)
         oriented = np.array([i in start.poses for i in range(n)])
-        nowhere = Rigid(R=np.eye(3), shift_m=np.zeros(3))
+        nowhere = Rigid()
         poses = {i: start.poses.get(i, nowhere) for i in range(n)}
         problem = Problem(
             block, np.zeros(n, np.int64), np.ones(len(block.image), np.bool_), (camera.parameter_names,)

@@ -170,7 +170,7 @@ def two_cameras(seed: int) -> tuple[dict[str, Lens], Rig]:
     sigma_apart = np.repeat([2e-4, np.deg2rad(0.01)], 3)
     found = apart.moved(sigma_apart * rng.standard_normal(6)).with_cov(np.diag(sigma_apart**2))
     rig = Rig(cameras=known, T_back_front=found, settings=RigSettings())
-    places = {"front": Rigid(R=np.eye(3), shift_m=np.zeros(3)), "back": apart.inverse()}
+    places = {"front": Rigid(), "back": apart.inverse()}
     return {name: Lens(true[name], places[name], known[name], rig.T_front_lens[name]) for name in LENSES}, rig
 
 
