@@ -24,7 +24,7 @@ from thalweg.calibration.camera_lidar import (
 )
 from thalweg.calibration.camera_lidar.adjustment import reference_table
 from thalweg.calibration.camera_lidar.files import planned_scan, study_of
-from thalweg.calibration.field import FieldPoints, Resected, parse_field
+from thalweg.calibration.field import FieldPoints, parse_field
 from thalweg.core import Camera, InputError, Rigid
 from thalweg.core.calibration import read_calibration, write_calibration
 from thalweg.ingest import LidarOptions
@@ -62,51 +62,6 @@ def test_marks_come_to_their_cones(rng, description):
     rows = description.splitlines()
     with pytest.raises(InputError, match="names no cones"):
         given.cone_references(parse_field("\n".join(rows[:3] + rows[6:])), points)
-
-
-def test_positions_share_errors_of_field_and_camera(rng, description):
-    """The joint covariance is that of the linear map from independent errors."""
-    points, camera_cov = known(rng), np.diag(np.arange(1.0, 10.0))
-    camera = Camera(
-        model="perspective",
-        size_px=(10, 10),
-        parameters=np.array([9.0, 9, 5, 5, 0, 0, 0, 0, 0]),
-        cov=camera_cov,
-    )
-    resected = []
-    for _ in range(2):
-        root = rng.standard_normal((6, 6))
-        resected.append(
-            Resected(
-                T_pcs_ccs=Rigid(R=np.eye(3), shift_m=np.zeros(3)),
-                cov_marks=root @ root.T,
-                by_interior=rng.standard_normal((6, 9)),
-                by_points=rng.standard_normal((6, 36)),
-                residuals=pd.DataFrame(),
-                redundancy=1.0,
-                sigma0=1.0,
-                moved=(),
-            )
-        )
-    errors = given.field_errors(parse_field(description), points, resected, camera)
-    assert dict(errors.points) == {"C1": 4, "C2": 4}
-    marks = np.zeros((12, 12))
-    marks[:6, :6], marks[6:, 6:] = (r.cov_marks for r in resected)
-    by_points, by_interior = (
-        np.vstack([getattr(r, n) for r in resected]) for n in ("by_points", "by_interior")
-    )
-    # C1 is the second marker, C2 the first one
-    cones = np.eye(36)[[*range(12, 24), *range(12)]]
-    whole = np.vstack([by_points, cones])
-    expected = whole @ points.cov @ whole.T
-    expected[:12, :12] += marks + by_interior @ camera_cov @ by_interior.T
-    np.testing.assert_allclose(errors.cov, expected, atol=1e-9)
-    # two cameras share the field only
-    other = Camera(
-        model="perspective", size_px=(10, 10), parameters=camera.parameters, cov=camera_cov, name="b"
-    )
-    apart = given.field_errors(parse_field(description), points, resected, [camera, other])
-    np.testing.assert_allclose(apart.cov[:6, 6:12], (whole @ points.cov @ whole.T)[:6, 6:12], atol=1e-9)
 
 
 def touched(folder: Path, *names: str) -> list[Path]:

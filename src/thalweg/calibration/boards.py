@@ -21,7 +21,7 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from thalweg.calibration.camera_lidar import CAPTURES, ORIENTATION
+from thalweg.calibration.camera_lidar import CAPTURES, ORIENTATION, input as recorded
 from thalweg.calibration.markers import read_grey
 from thalweg.calibration.target_search import SearchRange, Targets, search_targets
 from thalweg.core import (
@@ -270,10 +270,9 @@ def calibrate_board(
     refuse_alike([p.view for p in poses], settings.least_angle_deg)
     start, score = nominal, float("nan")
     if settings.within is not None:
-        own = Rigid(R=np.eye(3), shift_m=np.zeros(3))
         found = search_targets(
             Targets.boards([p.view.T_ccs_board for p in poses], np.array([p.view.half_m for p in poses])),
-            [own] * len(poses),
+            [Rigid()] * len(poses),
             [p.points_scs_m for p in poses],
             nominal,
             settings.within,
@@ -625,12 +624,10 @@ def read_scan(path: Path, options: LidarOptions) -> tuple[ArrayF, ArrayF, AnyArr
         n = len(cloud.points)
         brightness = np.full(n, 50.0) if cloud.intensity is None else cloud.intensity.astype(np.float64)
         return cloud.points, brightness, cloud.ring
-    blocks = list(lidar_reader([path], options).points())
-    if not blocks:
+    found = recorded.read_scan(lidar_reader([path], options))
+    if not len(found[0]):
         raise InputError("no points", expected="a lidar recording", where=path)
-    xyz = np.concatenate([b.xyz_scs_m for b in blocks]).astype(np.float64)
-    brightness = np.concatenate([b.intensity for b in blocks]).astype(np.float64)
-    return xyz, brightness, np.concatenate([b.ring for b in blocks]).astype(np.int64)
+    return found
 
 
 def read_board_poses(

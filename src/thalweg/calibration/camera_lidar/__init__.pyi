@@ -10,7 +10,6 @@ from .input import (
     CAPTURES as CAPTURES,
     Statics as Statics,
     cone_references as cone_references,
-    field_errors as field_errors,
     nominal_orientation as nominal_orientation,
     read_statics as read_statics,
     static_images as static_images,

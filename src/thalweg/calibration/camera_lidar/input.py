@@ -11,8 +11,8 @@ import numpy as np
 
 from thalweg.calibration import FORM_SIGMA_M, ConeReference, Position, mark_name
 from thalweg.calibration.camera_lidar.model import FieldErrors
-from thalweg.calibration.field import FieldDescription, FieldNetwork, FieldPoints, Resected
-from thalweg.core import AnyArray, ArrayF, Camera, InputError, Rigid, parse_json
+from thalweg.calibration.field import FieldDescription, FieldNetwork, FieldPoints
+from thalweg.core import AnyArray, ArrayF, InputError, Rigid, parse_json
 from thalweg.ingest import LidarReader
 from thalweg.ingest.photos import list_images, natural_key
 from thalweg.settings.sections import LidarAccuracy
@@ -54,10 +54,7 @@ class Statics:
         field : description with the cones.
         images : pictures of the static positions, in their order.
         """
-        at = [
-            np.array([i for i, (m, _) in enumerate(self.points.points) if m in cone.markers], dtype=np.int64)
-            for cone in field.cones
-        ]
+        at = [_of_cone(self.points, cone.markers) for cone in field.cones]
         poses = [6 * self.images.index(image) + np.arange(6) for image in images]
         rows = np.concatenate([*poses, 6 * len(self.images) + _triples(np.concatenate(at))])
         counts = {c.name: len(k) for c, k in zip(field.cones, at, strict=True)}
@@ -90,12 +87,11 @@ def cone_references(
     out = []
     for cone in field.cones:
         at = _of_cone(points, cone.markers)
-        rows = _triples(at)
         out.append(
             ConeReference(
                 name=cone.name,
                 points_m=points.points_pcs[at],
-                cov=points.cov[np.ix_(rows, rows)],
+                cov=points.cov_of(at),
                 half_angle_rad=cone.half_angle_rad,
                 length_m=cone.length_m,
                 labels=tuple(mark_name(*points.points[i]) for i in at),
@@ -103,48 +99,6 @@ def cone_references(
             )
         )
     return out
-
-
-def field_errors(
-    field: FieldDescription,
-    points: FieldPoints,
-    resected: Sequence[Resected],
-    interior: Camera | Sequence[Camera],
-) -> FieldErrors:
-    """Joint covariance of the exterior orientations of static positions and of the marks on the cones.
-
-    Two exterior orientations share the errors of the marks they come from and, if one camera took both
-    pictures, those of its interior orientation. That holds for pictures that were resected one by one with an
-    interior orientation from elsewhere. If the same pictures calibrated the camera, their marks would be used
-    twice: take `thalweg.calibration.camera_lidar.input` then.
-
-    Parameters
-    ----------
-    field, points : as in `cone_references`.
-    resected : of each position, in order.
-    interior : the camera of all positions, or that of each.
-    """
-    at = [_of_cone(points, cone.markers) for cone in field.cones]
-    rows = _triples(np.concatenate(at))
-    n, m = 6 * len(resected), len(rows)
-    cov = np.zeros((n + m, n + m))
-    cov[n:, n:] = points.cov[np.ix_(rows, rows)]
-    cameras = [interior] * len(resected) if isinstance(interior, Camera) else list(interior)
-    for i, a in enumerate(resected):
-        mine = slice(6 * i, 6 * i + 6)
-        through_points = a.by_points @ points.cov
-        cov[mine, n:] = through_points[:, rows]
-        cov[n:, mine] = cov[mine, n:].T
-        for j, b in enumerate(resected):
-            part = through_points @ b.by_points.T
-            if i == j:
-                part = part + a.cov_marks
-            if cameras[i].name == cameras[j].name:
-                part = part + a.by_interior @ cameras[i].cov @ b.by_interior.T
-            cov[mine, 6 * j : 6 * j + 6] = part
-    return FieldErrors(
-        cov=(cov + cov.T) / 2, points={c.name: len(k) for c, k in zip(field.cones, at, strict=True)}
-    )
 
 
 def read_position(name: str, T_pcs_ccs: Rigid, reader: LidarReader, beam_errors: LidarAccuracy) -> Position:
@@ -161,20 +115,21 @@ def read_position(name: str, T_pcs_ccs: Rigid, reader: LidarReader, beam_errors:
     ------
     InputError : no points in the recording.
     """
-    points, reflectivity = read_scan(reader)
+    points, reflectivity, _ = read_scan(reader)
     return Position.measured(name, T_pcs_ccs, points, beam_errors, reflectivity)
 
 
-def read_scan(reader: LidarReader) -> tuple[ArrayF, ArrayF]:
-    """All points (n, 3) of a recording in scs and their reflectivities (n,).
+def read_scan(reader: LidarReader) -> tuple[ArrayF, ArrayF, AnyArray]:
+    """All points (n, 3) of a recording in scs, their reflectivities (n,) and rings (n,).
 
     A static scan needs no GPS time; a recording without a locked clock does as well.
     """
     blocks = list(reader.points())
     if not blocks:
-        return np.zeros((0, 3)), np.zeros(0)
-    xyz, reflectivity = ([getattr(b, name) for b in blocks] for name in ("xyz_scs_m", "intensity"))
-    return np.concatenate(xyz, dtype=np.float64), np.concatenate(reflectivity, dtype=np.float64)
+        return np.zeros((0, 3)), np.zeros(0), np.zeros(0, np.int64)
+    names = ("xyz_scs_m", "intensity", "ring")
+    xyz, reflectivity, ring = (np.concatenate([getattr(b, name) for b in blocks]) for name in names)
+    return xyz.astype(np.float64), reflectivity.astype(np.float64), ring
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

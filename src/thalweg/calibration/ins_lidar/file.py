@@ -1,6 +1,5 @@
 """What goes into the calibration of a run, and its result as files."""
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,12 +8,12 @@ from typing import Any, Final
 import numpy as np
 
 from thalweg.calibration import FORM_SIGMA_M, fit_reference, parameter_cov, read_poses
-from thalweg.calibration.camera_lidar import cone_references, field_errors
+from thalweg.calibration.camera_lidar import Statics, cone_references
 from thalweg.calibration.field import FieldDescription, FieldPoints
 from thalweg.calibration.ins_lidar.adjustment import InsLidar
 from thalweg.calibration.ins_lidar.antenna import AntennaLever, antenna_lever, check_nominal, phase_centre
 from thalweg.calibration.ins_lidar.run_points import FieldCones
-from thalweg.core import ArrayF, GeometryError, InputError, Rigid, read_json
+from thalweg.core import ArrayF, GeometryError, InputError, Rigid, read_marked, write_marked
 from thalweg.core.calibration import Calibration, Source, pose_block, read_calibration, write_calibration
 
 KIND: Final = "thalweg lidar mount"
@@ -60,7 +59,7 @@ def field_cones(
     """
     names, cones, lengths, parts, refused = [], [], [], [], {}
     references = cone_references(field, points, form_sigma_m=form_sigma_m)
-    marks = field_errors(field, points, (), ())
+    marks = Statics(images=(), poses=(), points=points, cov=points.cov, lost={}).errors(field, ())
     for reference in references:
         try:
             fit = fit_reference(reference)
@@ -122,10 +121,9 @@ def field_antenna(
             expected="the pose of the camera while the antenna was photographed",
             cure="Name the position at which the boat stood when its antenna was photographed",
         )
-    coordinates = (3 * at[:, None] + np.arange(3)).ravel()
     mark = phase_centre(
         points.points_pcs[at],
-        points.cov[np.ix_(coordinates, coordinates)],
+        points.cov_of(at),
         offset_m=field.antenna.offset_m,
         sigma_offset_m=field.antenna.sigma_m,
     )
@@ -171,9 +169,7 @@ def write_mount_result(
     """Write what `read_mount_result` reads, and the numbers that a report needs."""
     T = found.T_ics_scs
     errors = found.errors
-    document = {
-        "kind": KIND,
-        "version": VERSION,
+    content = {
         "T_ics_scs": {"matrix": T.matrix.tolist(), "cov": T.cov.tolist()},
         "cov_formal": found.cov_formal.tolist(),
         "by_antenna": found.by_antenna.tolist(),
@@ -198,7 +194,7 @@ def write_mount_result(
             "parameters": found.summary().to_dict("records"),
         },
     }
-    path.write_text(json.dumps(document, indent=2) + "\n")
+    write_marked(path, kind=KIND, version=VERSION, content=content)
 
 
 def write_calibrated(path: Path, found: InsLidar, run: str) -> None:
@@ -224,11 +220,12 @@ def read_mount_result(path: Path) -> MountResult:
     ------
     InputError : the file is missing or something else.
     """
-    document = read_json(path, f"{KIND}, version {VERSION}")
+    document = read_marked(
+        path, kind=KIND, version=VERSION, what="lidar mount", cure="Evaluate the run about the cones again"
+    )
     try:
-        known = (document["kind"], document["version"]) == (KIND, VERSION)
         place, given = document["T_ics_scs"], document["antenna"]
-        result = MountResult(
+        return MountResult(
             T_ics_scs=Rigid.from_matrix(np.array(place["matrix"]), np.array(place["cov"])),
             by_antenna=np.array(document["by_antenna"]),
             antenna=None if given is None else AntennaLever(**{k: np.array(v) for k, v in given.items()}),
@@ -239,10 +236,3 @@ def read_mount_result(path: Path) -> MountResult:
         raise InputError(
             f"no lidar mount ({error!r})", expected=f"{KIND}, version {VERSION}", where=path
         ) from error
-    if not known:
-        raise InputError(
-            f"{document['kind']}, version {document['version']}",
-            expected=f"{KIND}, version {VERSION}",
-            where=path,
-        )
-    return result
