@@ -132,8 +132,9 @@ def assemble(
     blocks.append(replace(lever_block("antenna", lever_ics_antenna_m), facts={"note": DEFINED}))
     rows.append(np.zeros((3, 15)))
     if echo_sounder is not None:
-        start, by_lidar = _measured_from(echo_sounder, mount, np.asarray(lever_ics_antenna_m))
-        place = lever_block("echo_sounder", start + echo_sounder.lever_m)
+        starts = {"antenna": np.asarray(lever_ics_antenna_m), "lidar": mount.shift_m, "ics": np.zeros(3)}
+        by_lidar = np.eye(3, 6) * (echo_sounder.measured_from == "lidar")
+        place = lever_block("echo_sounder", starts[echo_sounder.measured_from] + echo_sounder.lever_m)
         facts = {"method": echo_sounder.method, "measured_from": echo_sounder.measured_from}
         blocks.append(replace(place, facts=facts))
         rows.append(_columns(lidar=by_lidar, echo=np.eye(3)))
@@ -171,17 +172,6 @@ def _independent(
         cross = ins_lidar.by_antenna @ antenna.by_camera_lidar @ cov_relative
         cov[:6, 6:12], cov[6:12, :6] = cross, cross.T
     return cov
-
-
-def _measured_from(echo: EchoPlace, mount: Rigid, lever_antenna_m: ArrayF) -> tuple[ArrayF, ArrayF]:
-    """Where the ruler starts, (3,) in ics, and its derivative (3, 6) by the mount of the lidar."""
-    match echo.measured_from:
-        case "antenna":
-            return lever_antenna_m, np.zeros((3, 6))
-        case "lidar":
-            return mount.shift_m, np.eye(3, 6)
-        case _:
-            return np.zeros(3), np.zeros((3, 6))
 
 
 # ---------------------------------------------------------------- mounts of a campaign: as its file says, or

@@ -23,7 +23,7 @@ import numpy as np
 import pandas as pd
 
 from thalweg.calibration.boards import Checkerboard, find_corners
-from thalweg.calibration.camera_files import interior_calibration, nominal_camera
+from thalweg.calibration.camera_files import best_nominal, interior_calibration
 from thalweg.calibration.field import MARKS, Layout, Problem, State, marks_model, solve, start_state
 from thalweg.calibration.markers import Block, read_grey
 from thalweg.core import (
@@ -337,22 +337,26 @@ def _start(
     without: set[str],
 ) -> tuple[Camera, ArrayF, ArrayF, list[int]]:
     """Camera and poses of the boards by the focal length whose rays fit best, and pictures without a pose."""
-    best: tuple[float, Camera, ArrayF, ArrayF, list[int]] | None = None
-    for half in np.geomspace(*_HALF_VIEWS[model], _TRIED):
-        focal = max(size_px) / 2 / (half if model == "fisheye" else np.tan(half))
-        camera = nominal_camera("lens", model, size_px, float(focal))
+
+    def poses(camera: Camera) -> tuple[ArrayF, ArrayF, ArrayF]:
+        """Rotations (n, 3, 3), shifts (n, 3), and the angles by which rays miss their corners (n,)."""
         rays = camera.rays(xy)
         R, t, off = np.full((n, 3, 3), np.nan), np.full((n, 3), np.nan), np.full(n, np.inf)
         for i in range(n):
             mine = image == i
             if mine.sum() >= LEAST_CORNERS and np.isfinite(rays[mine]).all():
                 R[i], t[i], off[i] = _board_pose(rays[mine], board[mine])
-        score = float(np.mean(np.minimum(off, 10 * _ASIDE)))
-        if best is None or score < best[0]:
-            best = score, camera, R, t, [i for i in range(n) if off[i] > _ASIDE]
-    if best is None:
-        raise GeometryError("no focal length fits the corners", expected="pictures of a flat board")
-    return best[1:]
+        return R, t, off
+
+    def misfit(camera: Camera) -> float:
+        """Mean angle of the pictures, gross ones cut off."""
+        return float(np.mean(np.minimum(poses(camera)[2], 10 * _ASIDE)))
+
+    half = np.geomspace(*_HALF_VIEWS[model], _TRIED)
+    shares = 1.0 / (2.0 * (half if model == "fisheye" else np.tan(half)))
+    camera = best_nominal("lens", model, size_px, misfit, shares.tolist())
+    R, t, off = poses(camera)
+    return camera, R, t, np.flatnonzero(off > _ASIDE).tolist()
 
 
 def _board_pose(rays: ArrayF, board: ArrayF) -> tuple[ArrayF, ArrayF, float]:

@@ -385,20 +385,13 @@ def _by_homography(maps: ArrayF, sheet: ArrayF) -> ArrayF:
 
 
 def _grey(image: ArrayU8, places: ArrayF) -> AnyArray:
-    """Grey values at pixels (..., 2); OpenCV counts from the centre of the first one."""
-    flat = places.reshape(-1, 2).astype(np.float32) - 0.5
-    rows = 30_000  # cv2.remap allows 32767 rows
-    parts = [
-        cv2.remap(
-            image,
-            flat[k : k + rows, 0][:, None],
-            flat[k : k + rows, 1][:, None],
-            cv2.INTER_LINEAR,
-            borderMode=cv2.BORDER_REPLICATE,
-        )[:, 0]
-        for k in range(0, len(flat), rows)
-    ]
-    return np.concatenate(parts).astype(np.float64).reshape(places.shape[:-1])
+    """Grey values at pixels (k, 2) or (n, k, 2); OpenCV counts from the centre of the first one.
+
+    `cv2.remap` takes up to 32767 rows and columns.
+    """
+    x, y = np.moveaxis(places.reshape(-1, *places.shape[-2:]).astype(np.float32) - 0.5, 2, 0)
+    grey = cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return grey.astype(np.float64).reshape(places.shape[:-1])
 
 
 # ---------------------------------------------------------------- detection
@@ -483,15 +476,10 @@ def _tags(image: ArrayU8, layout: MarkerLayout) -> tuple[ArrayF, list[int], Arra
 def _measured(
     image: ArrayU8, quads: ArrayF, ids: list[int]
 ) -> tuple[list[tuple[int, int, float, float, float, float]], list[tuple[int, float, float, str]]]:
-    saddles, steps = _predicted(quads)
-    fit = fit_saddles(
-        image, saddles.reshape(-1, 2), steps.reshape(-1, 2, 2), np.tile(SADDLE_SIGNS, len(quads))
-    )
-    xy, sigma, good = (a.reshape(len(quads), 4, *a.shape[1:]) for a in (fit.xy_px, fit.sigma_px, fit.good))
+    xy, sigma, good, size = _fitted(image, quads)
     rejected: list[tuple[int, float, float, str]] = []
     chosen: dict[int, int] = {}
     twice: set[int] = set()
-    size = np.sqrt(np.abs([_area(quad) for quad in saddles])) if len(quads) else np.empty(0)
     for k in sorted(range(len(quads)), key=lambda k: (ids[k], -int(good[k].sum()), k)):
         centre = quads[k].mean(axis=0)
         reason = ""
@@ -536,9 +524,17 @@ def _predicted(quads: ArrayF) -> tuple[ArrayF, ArrayF]:
     return saddles, steps
 
 
-def _area(quad: ArrayF) -> float:
-    x, y = quad.T
-    return float(np.dot(x, np.roll(y, -1)) - np.dot(y, np.roll(x, -1))) / 2
+def _fitted(image: ArrayU8, quads: ArrayF) -> tuple[ArrayF, ArrayF, ArrayB, ArrayF]:
+    """Saddles of tags with corners (n, 4, 2): places, sigmas, which are good; side (n,) of their square."""
+    saddles, steps = _predicted(quads)
+    fit = fit_saddles(
+        image, saddles.reshape(-1, 2), steps.reshape(-1, 2, 2), np.tile(SADDLE_SIGNS, len(quads))
+    )
+    x, y = np.moveaxis(saddles, 2, 0)
+    area = (x * np.roll(y, -1, axis=1) - y * np.roll(x, -1, axis=1)).sum(axis=1) / 2
+    n = len(quads)
+    xy, sigma, good = fit.xy_px.reshape(n, 4, 2), fit.sigma_px.reshape(n, 4), fit.good.reshape(n, 4)
+    return xy, sigma, good, np.sqrt(np.abs(area))
 
 
 def _second_look(
@@ -548,12 +544,7 @@ def _second_look(
     others = others[_apart(others, tags)]
     if len(others):
         others = others[dark_framed(image, _homographies(others))]
-    saddles, steps = _predicted(others)
-    fit = fit_saddles(
-        image, saddles.reshape(-1, 2), steps.reshape(-1, 2, 2), np.tile(SADDLE_SIGNS, len(others))
-    )
-    xy, good = fit.xy_px.reshape(-1, 4, 2), fit.good.reshape(-1, 4)
-    size = np.sqrt(np.abs([_area(quad) for quad in saddles])) if len(others) else np.empty(0)
+    xy, _, good, size = _fitted(image, others)
     found: list[ArrayF] = []
     ids: list[int] = []
     mirrored: list[tuple[int, float, float, str]] = []
@@ -781,16 +772,8 @@ def _coarse(image: ArrayU8, start_px: ArrayF, A: ArrayF, sign: ArrayF) -> tuple[
     rows = max(1, 30_000 // len(places) * 30)
     for first in range(0, len(start_px), rows):
         part = slice(first, first + rows)
-        xy = start_px[part, None, :] + places @ np.swapaxes(A[part], 1, 2)
-        # cv2 counts from the centre of the first pixel
-        grey = cv2.remap(
-            image,
-            xy[..., 0].astype(np.float32) - 0.5,
-            xy[..., 1].astype(np.float32) - 0.5,
-            cv2.INTER_LINEAR,
-            borderMode=cv2.BORDER_REPLICATE,
-        ).astype(np.float64)
-        grey = grey.reshape(len(xy), len(su), len(pattern))
+        grey = _grey(image, start_px[part, None, :] + places @ np.swapaxes(A[part], 1, 2))
+        grey = grey.reshape(-1, len(su), len(pattern))
         grey -= grey.mean(axis=2, keepdims=True)
         norm = np.sqrt((grey**2).sum(axis=2) * len(pattern))
         score = (grey @ pattern) * sign[part, None] / np.maximum(norm, 1e-9)

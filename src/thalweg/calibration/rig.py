@@ -25,6 +25,7 @@ from typing import Any, Final
 
 import numpy as np
 import pandas as pd
+from scipy.linalg import block_diag
 
 from thalweg.calibration.camera import orient_on_field, starting_boat_camera
 from thalweg.calibration.camera_files import camera_of, interior_calibration
@@ -561,11 +562,8 @@ def _common(observed: ArrayF, cov: ArrayF, relative: Sequence[Rigid], model: str
     def differences(x: _State) -> Linear:
         """Differences from what each exposure says."""
         off = [x.T.error_from(T) for T in relative]
-        J = np.zeros((len(observed), k + 6))
-        J[:k, :k] = np.eye(k)
-        for i in range(n):
-            J[k + 6 * i : k + 6 * i + 6, k:] = np.eye(6)
-        return Linear(residual=np.concatenate([x.parameters - observed[:k], *off]), jacobian=J, cov=cov[None])
+        residual = np.concatenate([x.parameters - observed[:k], *off])
+        return Linear(residual=residual, jacobian=_by_common(k, n), cov=cov[None])
 
     names = [*(f"{lens} {p}" for lens in LENSES for p in PARAMETERS[model]), *_POSE]
     return adjust(
@@ -575,6 +573,11 @@ def _common(observed: ArrayF, cov: ArrayF, relative: Sequence[Rigid], model: str
         update=lambda x, dx: _State(x.parameters + dx[:k], x.T.moved(dx[k:])),
         cure="Take more pictures of the field",
     )
+
+
+def _by_common(k: int, n: int) -> ArrayF:
+    """Derivatives of k interior parameters and n relative orientations by what all exposures share."""
+    return block_diag(np.eye(k), np.tile(np.eye(6), (n, 1)))
 
 
 _POSE: Final = ("x", "y", "z", "rotation about x", "rotation about y", "rotation about z")
@@ -587,9 +590,7 @@ def _contradictions(found: Adjusted[_State], cov: ArrayF) -> ArrayF:
     v = found.residuals["exposures"]
     k = len(found.x.parameters)
     n = (len(v) - k) // 6
-    J = np.zeros((len(v), k + 6))
-    J[:k, :k] = np.eye(k)
-    J[k:, k:] = np.tile(np.eye(6), (n, 1))
+    J = _by_common(k, n)
     Q = cov - J @ found.cov @ J.T
     lengths = np.zeros(n)
     for i in range(n):

@@ -172,16 +172,16 @@ class CameraLidar:
     @property
     def group_sigma0(self) -> dict[str, float]:
         """RMS of standardised residuals: of the lidar, and of reference points with exterior orientations."""
-        out = {}
-        for kind in (LIDAR, FIELD):
-            mine = [n for n in self.adjusted.group_sigma0 if n.split(" ")[0] == kind]
-            spare = sum(self.adjusted.group_redundancy[n] for n in mine)
-            squares = sum(
-                self.adjusted.group_sigma0[n] ** 2 * self.adjusted.group_redundancy[n] for n in mine
-            )
-            if spare > 1e-6:
-                out[kind] = float(np.sqrt(squares / spare))
-        return out
+        found = {kind: _variance(self.adjusted, kind) for kind in (LIDAR, FIELD)}
+        return {kind: float(np.sqrt(variance)) for kind, (variance, spare) in found.items() if spare > 1e-6}
+
+
+def _variance(adjusted: Adjusted[Unknowns], kind: str) -> tuple[float, float]:
+    """Mean square of the standardised residuals of all groups of a kind, and their redundancy."""
+    mine = [n for n in adjusted.group_sigma0 if n.split(" ")[0] == kind]
+    spare = sum(adjusted.group_redundancy[n] for n in mine)
+    squares = sum(adjusted.group_sigma0[n] ** 2 * adjusted.group_redundancy[n] for n in mine)
+    return squares / max(spare, 1e-9), spare
 
 
 @dataclass(slots=True)
@@ -401,13 +401,9 @@ def _noise(work: _Work, adjusted: Adjusted[Unknowns]) -> float:
     """Put the lidar's scatter into the variance factor; by how much it changed."""
     if not work.settings.free_noise:
         return 1.0
-    mine = [n for n in adjusted.group_sigma0 if n.startswith(LIDAR)]
-    spare = sum(adjusted.group_redundancy[n] for n in mine)
-    change = sum(adjusted.group_sigma0[n] ** 2 * adjusted.group_redundancy[n] for n in mine) / max(
-        spare, 1e-9
-    )
+    change, _ = _variance(adjusted, LIDAR)
     work.factor *= change
-    return float(change)
+    return change
 
 
 def _beside(work: _Work) -> bool:

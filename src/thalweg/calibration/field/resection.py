@@ -230,7 +230,7 @@ def resect_together(
         except GeometryError as error:
             refused[one.where] = error.found
     (change,), (lens,) = fit.layout.change, fit.layout.lens
-    cov = fit.propagated(lens).cov
+    cov = fit.propagated(lens)[0]
     return replace(fit.adjusted.x.cameras[0], cov=change @ cov @ change.T), poses, refused
 
 
@@ -244,16 +244,6 @@ def _require(marker: ArrayI, where: str, what: str, seen: int) -> None:
             where=where,
             cure="Record it again so that the camera sees more markers of the field",
         )
-
-
-@dataclass(frozen=True, slots=True)
-class _Propagated:
-    """Covariance of unknowns (n,), the part of the marks, derivatives by the camera and the points."""
-
-    cov: ArrayF
-    cov_marks: ArrayF
-    by_interior: ArrayF
-    by_points: ArrayF
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -310,8 +300,8 @@ class _Fit:
             camera=camera, pictures=pictures, points=points, problem=problem, layout=layout, adjusted=adjusted
         )
 
-    def propagated(self, rows: slice) -> _Propagated:
-        """Covariance of some unknowns, and where it comes from.
+    def propagated(self, rows: slice) -> tuple[ArrayF, ArrayF, ArrayF, ArrayF]:
+        """Covariance of some unknowns, the part of the marks, derivatives by the camera and the points.
 
         The adjustment weights marks by ``S = s^2 I + P C P^T`` with each point's own block ``C``, and the
         interior orientation by ``Q``. Its solution ``dx = -N^-1 (A^T S^-1 r + B^T Q^-1 r_interior)`` carries
@@ -335,7 +325,7 @@ class _Fit:
         by_points = np.swapaxes(parts, 0, 1).reshape(n, -1)
         cov = cov_marks + by_points @ self.points.cov @ by_points.T
         cov += by_interior @ self.camera.cov @ by_interior.T
-        return _Propagated((cov + cov.T) / 2, (cov_marks + cov_marks.T) / 2, by_interior, by_points)
+        return (cov + cov.T) / 2, (cov_marks + cov_marks.T) / 2, by_interior, by_points
 
     def resected(self, k: int, largest_sigma_m: float) -> Resected:
         """Pose of the k-th picture.
@@ -356,12 +346,9 @@ class _Fit:
                 where=one.where,
                 cure="Look at the picture: motion blur, a moved marker, or a camera that was refocused",
             )
-        X = self.points.points_pcs[one.at][used]
-        _require_one_solution(
-            pose, x.cameras[0], X, one.xy[used], one.sigma[used], one.marker[used], one.where
-        )
-        found = self.propagated(self.layout.pose(k))
-        T = pose.with_cov(found.cov)
+        self.require_one_solution(k, pose, used)
+        cov, cov_marks, by_interior, by_points = self.propagated(self.layout.pose(k))
+        T = pose.with_cov(cov)
         if float(T.sigma_shift_m.max()) > largest_sigma_m:
             raise GeometryError(
                 f"the pose has a sigma of {T.sigma_shift_m.max():.2f} m from {int(used.sum())} marks",
@@ -382,34 +369,39 @@ class _Fit:
         )
         return Resected(
             T_pcs_ccs=T,
-            cov_marks=found.cov_marks,
-            by_interior=found.by_interior,
-            by_points=found.by_points,
+            cov_marks=cov_marks,
+            by_interior=by_interior,
+            by_points=by_points,
             residuals=residuals,
             redundancy=self.adjusted.redundancy,
             sigma0=float(np.sqrt(self.adjusted.sigma0_squared)),
             moved=_moved(one.marker, used),
         )
 
+    def require_one_solution(self, k: int, pose: Rigid, used: ArrayB) -> None:
+        """Few markers that are nearly in a plane may fit a second pose nearly as well.
 
-def _require_one_solution(
-    pose: Rigid, camera: Camera, X: ArrayF, xy: ArrayF, sigma: ArrayF, marker: ArrayI, where: str
-) -> None:
-    """Few markers that are nearly in a plane may fit a second pose nearly as well."""
-    if len(set(marker.tolist())) > _CLEAR_MARKERS:
-        return
-    best = _misfit(camera, pose, X, xy, sigma)
-    reach = float(np.median(np.linalg.norm(X - pose.shift_m, axis=1)))
-    for other in other_poses(pose, X, camera.rays(xy), marker, apart_m=0.05 * reach):
-        misfit = _misfit(camera, other, X, xy, sigma)
-        apart = float(np.linalg.norm(other.shift_m - pose.shift_m))
-        if misfit < _TIMES_WORSE * max(best, 1.0):
-            raise GeometryError(
-                f"two poses {apart:.2f} m apart fit {len(X)} marks of {len(set(marker.tolist()))} markers",
-                expected="marks that leave one solution",
-                where=where,
-                cure="Record it again so that the camera sees more markers, at different distances",
-            )
+        Raises
+        ------
+        GeometryError : another pose fits the used marks of the k-th picture.
+        """
+        one, camera = self.pictures[k], self.adjusted.x.cameras[0]
+        X, xy, marker = self.points.points_pcs[one.at][used], one.xy[used], one.marker[used]
+        markers = len(set(marker.tolist()))
+        if markers > _CLEAR_MARKERS:
+            return
+        sigma = one.sigma[used]
+        limit = _TIMES_WORSE * max(_misfit(camera, pose, X, xy, sigma), 1.0)
+        reach = float(np.median(np.linalg.norm(X - pose.shift_m, axis=1)))
+        for other in other_poses(pose, X, camera.rays(xy), marker, apart_m=0.05 * reach):
+            if _misfit(camera, other, X, xy, sigma) < limit:
+                raise GeometryError(
+                    f"two poses {np.linalg.norm(other.shift_m - pose.shift_m):.2f} m apart fit {len(X)} "
+                    f"marks of {markers} markers",
+                    expected="marks that leave one solution",
+                    where=one.where,
+                    cure="Record it again so that the camera sees more markers, at different distances",
+                )
 
 
 def _misfit(camera: Camera, pose: Rigid, X: ArrayF, xy: ArrayF, sigma: ArrayF) -> float:

@@ -277,6 +277,31 @@ class Step:
         return float(np.sqrt(d @ np.linalg.solve(self.solution.cov_border[MOUNT, MOUNT], d)))
 
 
+def _normals(
+    points: RunPoints,
+    linear: Linearised,
+    extra: ArrayF,
+    known: Known,
+    state: State,
+    knots: Knots,
+    *,
+    with_antenna: bool = True,
+) -> tuple[BorderedNormals, ArrayF]:
+    """Normal equations of points and antenna, ``extra`` (n, k) columns behind the border; residuals (n,)."""
+    errors = knots.at(state.e, points.t_gps_s)
+    residual = -linear.distance_m + linear.border[:, 6:] @ state.z + np.sum(linear.pose * errors, axis=1)
+    border, weight = np.concatenate([linear.border, extra], axis=1), 1.0 / linear.variance_m2
+    normals = BorderedNormals.of(knots, points.t_gps_s, border, linear.pose, residual, weight)
+    antenna = antenna_equations(known, state.mount) if with_antenna else None
+    if antenna is not None:
+        r, J, P = antenna
+        normals.border[MOUNT, MOUNT] += J.T @ P @ J
+        normals.rhs_border[MOUNT] += J.T @ P @ r
+        normals.square += float(r @ P @ r)
+        normals.n += 3
+    return normals, residual
+
+
 def solve_step(
     points: RunPoints,
     linear: Linearised,
@@ -295,17 +320,8 @@ def solve_step(
     prior_band : of the errors of the poses, from `Knots.prior`.
     with_antenna : whether the antenna seen from the scanner enters.
     """
-    errors = knots.at(state.e, points.t_gps_s)
-    residual = -linear.distance_m + linear.border[:, 6:] @ state.z + np.sum(linear.pose * errors, axis=1)
-    weight = 1.0 / linear.variance_m2
-    normals = BorderedNormals.of(knots, points.t_gps_s, linear.border, linear.pose, residual, weight)
-    antenna = antenna_equations(known, state.mount) if with_antenna else None
-    if antenna is not None:
-        r, J, P = antenna
-        normals.border[MOUNT, MOUNT] += J.T @ P @ J
-        normals.rhs_border[MOUNT] += J.T @ P @ r
-        normals.square += float(r @ P @ r)
-        normals.n += 3
+    extra = np.zeros((len(points), 0))
+    normals, residual = _normals(points, linear, extra, known, state, knots, with_antenna=with_antenna)
     prior_border = np.diag(np.r_[np.zeros(6), np.ones(known.n_border - 6)])
     solution = normals.solve(prior_band, prior_border)
     found = State(mount=state.mount.moved(solution.border[MOUNT]), z=solution.border[6:], e=solution.errors)
@@ -349,16 +365,7 @@ def cone_shifts(
     for k in range(c):
         rows = cone == k
         extra[rows, 3 * k : 3 * k + 3] = -normal_pcs[rows]
-    errors = knots.at(state.e, points.t_gps_s)
-    residual = -linear.distance_m + linear.border[:, 6:] @ state.z + np.sum(linear.pose * errors, axis=1)
-    weight = 1.0 / linear.variance_m2
-    border = np.concatenate([linear.border, extra], axis=1)
-    normals = BorderedNormals.of(knots, points.t_gps_s, border, linear.pose, residual, weight)
-    antenna = antenna_equations(known, state.mount)
-    if antenna is not None:
-        r, J, P = antenna
-        normals.border[MOUNT, MOUNT] += J.T @ P @ J
-        normals.rhs_border[MOUNT] += J.T @ P @ r
+    normals, _ = _normals(points, linear, extra, known, state, knots)
     _, _, normal, rhs = normals.reduced(prior_band)
     fixed = np.full(3 * c, 1.0 / _FIXED_M**2)
     shift, square = np.zeros((c, 3)), np.zeros(c)
