@@ -5,18 +5,20 @@ from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
-from scipy import optimize
+from scipy import optimize, sparse
 from scipy.special import gammaln
 
 from thalweg.calibration import collinear
 from thalweg.core import AnyArray, ArrayB, ArrayF, ArrayI, cross_matrix, njit
-from thalweg.images.bundle.problem import Layout, Problem, State, interior_priors
+from thalweg.images.bundle.problem import Antenna, Layout, Problem, State, interior_priors
 
 CHUNK: int = 200_000
 """Marks whose derivatives are held at once: 90 MB."""
 NO_IMAGE_PX = 1e4
 """Residual of a point that a trial step has put behind its camera: the step is then taken back."""
 
+HELD: Final = "held"
+"""Group of what is no observation, but keeps unknowns where they are."""
 MOST_TRACKS: Final = 2000
 """Tracks that are looked at: the numbers are then known to a few percent."""
 _LEAST_MARKS: Final = 3
@@ -317,11 +319,18 @@ def reduced_system(
     # blocks on the diagonal are filled on both sides
     N = np.triu(N)
     N += np.triu(N, 1).T
-    out = Reduced(N, g, {"tie": tie}, {"tie": 2 * len(tracks.mark)})
-    _add_control(problem, layout, x, control_sigma_px, out)
-    _add_antenna(problem, layout, x, out)
-    _add_interior(problem, layout, x, out)
-    return out
+    cost = {"tie": tie, "control marks": 0.0, "control points": 0.0}
+    counts = {"tie": 2 * len(tracks.mark), "control marks": 0, "control points": 0}
+    for name, J, W, off in _other_groups(problem, layout, x, control_sigma_px):
+        at = np.unique(J.indices)
+        by, weighted = J[:, at], W @ off
+        part = by.T @ (W @ by)
+        N[np.ix_(at, at)] += part if isinstance(part, np.ndarray) else part.toarray()
+        g[at] += by.T @ weighted
+        if name != HELD:
+            cost[name] = cost.get(name, 0.0) + float(off @ weighted)
+            counts[name] = counts.get(name, 0) + len(off)
+    return Reduced(N, g, cost, counts)
 
 
 def point_steps(
@@ -353,11 +362,9 @@ def cost_of(
         value = np.empty(len(some.point))
         track_costs(some.first, residual, some.sigma_px, some.view, model.model, value)
         total += float(value.sum())
-    empty = Reduced(np.empty((0, 0)), np.empty(0), {}, {})
-    _add_control(problem, layout, x, control_sigma_px, empty, derive=False)
-    _add_antenna(problem, layout, x, empty, derive=False)
-    _add_interior(problem, layout, x, empty, derive=False)
-    return total + sum(empty.cost.values())
+    for name, _, W, off in _other_groups(problem, layout, x, control_sigma_px):
+        total += float(off @ (W @ off)) if name != HELD else 0.0
+    return total
 
 
 def projected(problem: Problem, x: State, image: ArrayI, X: ArrayF) -> ArrayF:
@@ -379,114 +386,88 @@ def derivatives_by_point(problem: Problem, x: State, image: ArrayI, X: ArrayF) -
     return np.asarray(np.nan_to_num(seen.by_point))
 
 
-def _add_control(
-    problem: Problem, layout: Layout, x: State, sigma_px: ArrayF, out: Reduced, *, derive: bool = True
-) -> None:
-    """Marks of control and check points, and the coordinates of control points."""
-    marks, control = problem.marks, problem.control
-    rows = np.flatnonzero(np.isfinite(sigma_px))
-    if derive:
-        q = layout.n_interior
-        part = linearised(problem, layout, x, marks.image[rows], x.G[marks.point[rows]], marks.xy_px[rows])
-        residual = part.residual
+def _other_groups(
+    problem: Problem, layout: Layout, x: State, control_sigma_px: ArrayF
+) -> Iterator[tuple[str, Any, Any, ArrayF]]:
+    """All observations but tie marks: their group, derivatives (r, u), weights (r, r), residuals (r,)."""
+
+    def rows(at: AnyArray, J: AnyArray) -> Any:
+        """Derivatives (b, r, k) by the unknowns ``at`` (b, k) as a sparse matrix."""
+        b, r, k = J.shape
+        columns = np.repeat(at, r, axis=0).ravel()
+        return sparse.csr_array(
+            (J.ravel(), columns, k * np.arange(b * r + 1)), shape=(b * r, len(layout.names))
+        )
+
+    marks, control, q = problem.marks, problem.control, layout.n_interior
+    seen = np.flatnonzero(np.isfinite(control_sigma_px))
+    if len(seen):
+        image, point = marks.image[seen], marks.point[seen]
+        part = linearised(problem, layout, x, image, x.G[point], marks.xy_px[seen])
+        rest = np.broadcast_to(layout.n_poses + np.arange(q), (len(seen), q))
+        pose, place = 6 * layout.exposure[image, None], layout.control + 3 * point[:, None]
+        at = np.concatenate([pose + np.arange(6), rest, place + np.arange(3)], axis=1)
         J = np.concatenate([part.by_pose, part.by_rest, part.by_point], axis=2)
-        pose, point = 6 * layout.exposure[marks.image[rows]], layout.control + 3 * marks.point[rows]
-        rest = np.broadcast_to(layout.n_poses + np.arange(q), (len(rows), q))
-        at = np.concatenate([pose[:, None] + np.arange(6), rest, point[:, None] + np.arange(3)], axis=1)
-        weighted = np.swapaxes(J / sigma_px[rows, None, None] ** 2, 1, 2)
-        np.add.at(out.N, (at[:, :, None], at[:, None, :]), weighted @ J)
-        np.add.at(out.g, at, (weighted @ residual[:, :, None])[:, :, 0])
-    else:
-        xy = projected(problem, x, marks.image[rows], x.G[marks.point[rows]])
-        residual = np.nan_to_num(marks.xy_px[rows] - xy, nan=NO_IMAGE_PX)
-    out.cost["control marks"] = float(np.square(residual / sigma_px[rows, None]).sum())
-    out.counts["control marks"] = 2 * len(rows)
+        weight = np.repeat(1.0 / np.square(control_sigma_px[seen]), 2)
+        yield "control marks", rows(at, J), sparse.diags_array(weight), part.residual.ravel()
     held = np.flatnonzero(~control.check)
-    W = np.linalg.inv(control.cov_wcs_m2[held])
-    off = control.points_wcs_m[held] - x.G[held]
-    weighed = (W @ off[:, :, None])[:, :, 0]
-    if derive:
-        own = layout.control + 3 * held[:, None] + np.arange(3)
-        out.N[own[:, :, None], own[:, None, :]] += W
-        out.g[own] += weighed
-    out.cost["control points"] = float((off * weighed).sum())
-    out.counts["control points"] = 3 * int((~control.check).sum())
+    if len(held):
+        each, n = np.arange(len(held)), 3 * len(held)
+        W = sparse.bsr_array(
+            (np.linalg.inv(control.cov_wcs_m2[held]), each, np.append(each, len(held))), shape=(n, n)
+        )
+        J = rows(layout.control + 3 * held[:, None] + np.arange(3), np.tile(np.eye(3), (len(held), 1, 1)))
+        yield "control points", J, W, (control.points_wcs_m[held] - x.G[held]).ravel()
+    if problem.antenna is not None and len(problem.antenna.image):
+        for name, columns, by, weights, off in _antenna_groups(problem.antenna, layout, x):
+            yield name, rows(columns, by), weights, off
+    for unknowns, weights, off in interior_priors(problem, layout, x):
+        yield "interior", rows(unknowns[None], np.eye(len(off))[None]), weights, off
 
 
-def _add_antenna(problem: Problem, layout: Layout, x: State, out: Reduced, *, derive: bool = True) -> None:
+def _antenna_groups(
+    seen: Antenna, layout: Layout, x: State
+) -> Iterator[tuple[str, AnyArray, AnyArray, AnyArray, ArrayF]]:
     """Antenna positions, and what is known of their lever arm and of the camera's clock."""
-    seen = problem.antenna
-    if seen is None or len(seen.image) == 0:
-        return
     R, C = (a[seen.image] for a in layout.poses(x))
-    lever, shift, drift = seen.lever_ccs_m, np.zeros(3), np.zeros(3)
-    t = seen.t_s - seen.t_s.mean()
+    lever, t = seen.lever_ccs_m, (seen.t_s - seen.t_s.mean())[:, None]
+    n, at = len(t), 0
+    eye = np.broadcast_to(np.eye(3), (n, 3, 3))
+    common = np.zeros((n, 3))
     extra: list[ArrayF] = []
-    at = 0
-    eye = np.broadcast_to(np.eye(3), (len(t), 3, 3))
     if seen.shift:
-        shift, at = x.extras[at : at + 3], at + 3
+        common, at = common + x.extras[at : at + 3], at + 3
         extra.append(eye)
     if seen.drift:
-        drift, at = x.extras[at : at + 3], at + 3
-        extra.append(eye * t[:, None, None])
+        common, at = common + t * x.extras[at : at + 3], at + 3
+        extra.append(eye * t[:, None])
     known = seen.sigma_lever_m > 0
     if known.any():
-        lever = lever + x.extras[at : at + 3]
+        change, place = x.extras[at : at + 3], layout.extras + at + np.arange(3)
+        lever = lever + change
         extra.append(R)
-    arm = R @ lever
-    off = seen.position_wcs_m - (C + arm + shift + t[:, None] * drift)
-    if seen.velocity_wcs_m_s is not None and seen.late:
-        off += seen.velocity_wcs_m_s * x.extras[-1]
-        extra.append(-seen.velocity_wcs_m_s[:, :, None])
-    W = seen.inverse_covariance
-    Wr = np.einsum("iajb,jb->ia", W, off)
-    out.cost["antenna"] = float((off * Wr).sum())
-    out.counts["antenna"] = off.size
-    if seen.late:
-        out.cost["clock"], out.counts["clock"] = float(x.extras[-1] / seen.sigma_clock_s) ** 2, 1
-        if derive:
-            out.N[layout.control - 1, layout.control - 1] += 1.0 / seen.sigma_clock_s**2
-            out.g[layout.control - 1] -= x.extras[-1] / seen.sigma_clock_s**2
-    if known.any():
-        change = x.extras[at : at + 3]
         # components that are held get a micrometre
-        weight = 1.0 / np.square(np.where(known, seen.sigma_lever_m, 1e-6))
-        out.cost["lever arm"] = float((change**2 * weight)[known].sum())
-        out.counts["lever arm"] = int(known.sum())
-        if derive:
-            place = np.arange(layout.extras + at, layout.extras + at + 3)
-            out.N[place, place] += weight
-            out.g[place] -= weight * change
-    if not derive:
-        return
+        for name, some, sigma in (("lever arm", known, seen.sigma_lever_m), (HELD, ~known, np.full(3, 1e-6))):
+            if some.any():
+                yield (
+                    name,
+                    place[None, some],
+                    np.eye(some.sum())[None],
+                    np.diag(sigma[some] ** -2),
+                    -change[some],
+                )
+    arm = R @ lever
+    off = seen.position_wcs_m - (C + arm + common)
+    if seen.velocity_wcs_m_s is not None and seen.late:
+        late = x.extras[-1:]
+        off += seen.velocity_wcs_m_s * late
+        extra.append(-seen.velocity_wcs_m_s[:, :, None])
+        clock = np.array([[layout.control - 1]])
+        yield "clock", clock, np.ones((1, 1, 1)), np.full((1, 1), seen.sigma_clock_s**-2), -late
     J = np.concatenate([eye, -cross_matrix(arm), *extra], axis=2)
-    pose = J[:, :, :6]
-    own = (6 * seen.image[:, None] + np.arange(6)).ravel()
-    n = len(own)
-    # W J as (i, j, a, l)
-    moved = np.swapaxes(W, 1, 2) @ pose
-    out.N[np.ix_(own, own)] += np.einsum("iak,ijal->ikjl", pose, moved).reshape(n, n)
-    out.g[own] += np.einsum("iak,ia->ik", pose, Wr).ravel()
-    if J.shape[2] > 6:
-        common = J[:, :, 6:]
-        place = np.arange(layout.extras, layout.extras + common.shape[2])
-        W_common = np.einsum("iajb,jbl->ial", W, common)
-        cross = np.einsum("iak,ial->ikl", pose, W_common).reshape(n, -1)
-        out.N[np.ix_(own, place)] += cross
-        out.N[np.ix_(place, own)] += cross.T
-        out.N[np.ix_(place, place)] += np.einsum("iak,ial->kl", common, W_common)
-        out.g[place] += np.einsum("iak,ia->k", common, Wr)
-
-
-def _add_interior(problem: Problem, layout: Layout, x: State, out: Reduced, *, derive: bool = True) -> None:
-    """Interior parameters with what is known of them beforehand."""
-    for at, W, off in interior_priors(problem, layout, x):
-        out.cost["interior"] = out.cost.get("interior", 0.0) + float(off @ W @ off)
-        out.counts["interior"] = out.counts.get("interior", 0) + len(at)
-        if derive:
-            out.N[np.ix_(at, at)] += W
-            out.g[at] += W @ off
+    shared = np.broadcast_to(layout.extras + np.arange(J.shape[2] - 6), (n, J.shape[2] - 6))
+    columns = np.concatenate([6 * seen.image[:, None] + np.arange(6), shared], axis=1)
+    yield "antenna", columns, J, seen.inverse_covariance.reshape(3 * n, 3 * n), off.ravel()
 
 
 # ---------------------------------------------------------------- correlation of the errors of a point's
