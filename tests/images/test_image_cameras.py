@@ -19,7 +19,7 @@ from thalweg.images.bundle.run import orient_block
 from thalweg.images.masks import make_masks_of_cameras
 from thalweg.images.masks.images import KnownCameras
 from thalweg.images.model import ImageBlock, Picture, camera_note, cameras_of, in_folders
-from thalweg.images.sfm.matching import Interiors, assign_cameras
+from thalweg.images.sfm.matching import Known, assign_cameras
 from thalweg.ingest.photos import named_images
 from thalweg.settings.sections import MaskSettings
 
@@ -101,7 +101,7 @@ def test_exif_tells_cameras_of_one_folder_apart(tmp_path, other):
     assert grouped(tmp_path, "folder") == {"camera": [f"{k}.jpg" for k in range(1, 5)]}
 
 
-def assigned(folder: Path, given: Interiors, by: str = "auto", **options: str) -> Any:
+def assigned(folder: Path, given: Known, by: str = "auto", **options: str) -> Any:
     images = named_images([folder])
     pictures = []
     for name, path in images.items():
@@ -112,27 +112,27 @@ def assigned(folder: Path, given: Interiors, by: str = "auto", **options: str) -
 
 
 def test_each_camera_begins_with_its_own_interior_orientation(two_folders):
-    found = assigned(two_folders, Interiors(cameras=(PERSPECTIVE,), of_folder={"right": LONG}))
+    found = assigned(two_folders, Known(cameras=(PERSPECTIVE,), of_folder={"right": LONG}))
     assert found.camera.tolist() == [0, 0, 1]
     assert [s.camera.parameters[0] for s in found.starts] == [270.0, 432.0]
     assert [s.camera.name for s in found.starts] == ["left", "right"]
     assert [s.source for s in found.starts] == ["given", "given"]
     # the common one for both, each with parameters of its own
-    same = assigned(two_folders, Interiors(cameras=(PERSPECTIVE,)))
+    same = assigned(two_folders, Known(cameras=(PERSPECTIVE,)))
     assert same.camera.tolist() == [0, 0, 1]
     assert [s.camera.parameters[0] for s in same.starts] == [270.0, 270.0]
     # none for the left one: a guess there, and none is allowed to be held fixed
-    one = assigned(two_folders, Interiors(of_folder={"right": LONG}))
+    one = assigned(two_folders, Known(of_folder={"right": LONG}))
     assert [s.source == "given" for s in one.starts] == [False, True]
     with pytest.raises(InputError, match=r"none is given for left/1\.jpg"):
-        assigned(two_folders, Interiors(of_folder={"right": LONG}), interior="fixed")
+        assigned(two_folders, Known(of_folder={"right": LONG}), interior="fixed")
 
 
 def test_an_interior_orientation_is_scaled_to_the_pictures_of_its_folder(tmp_path):
     photograph(tmp_path / "left" / "1.jpg", (640, 480))
     photograph(tmp_path / "left" / "2.jpg", (640, 400))
     photograph(tmp_path / "right" / "1.jpg")
-    found = assigned(tmp_path, Interiors(cameras=(PERSPECTIVE,), of_folder={"left": LONG}))
+    found = assigned(tmp_path, Known(cameras=(PERSPECTIVE,), of_folder={"left": LONG}))
     assert found.starts[0].camera.size_px == (640, 480)
     assert found.starts[0].camera.parameters[0] == 864.0
     assert found.camera.tolist() == [0, -1, 1]
@@ -144,13 +144,13 @@ def test_another_zoom_is_estimated_and_another_lens_alone_refused(tmp_path):
     # COLMAP takes the diagonal of the film: 29.2 mm and 46.7 mm are 270 px and 432 px of 400 px
     for k, focal in enumerate((29, 29, 47)):
         photograph(tmp_path / f"{k}.jpg", focal_35mm=focal, focal_mm=float(focal))
-    found = assigned(tmp_path, Interiors(cameras=(PERSPECTIVE,)))
+    found = assigned(tmp_path, Known(cameras=(PERSPECTIVE,)))
     assert found.camera.tolist() == [0, 0, 1]
     assert found.starts[0].camera.parameters[0] == 270.0
     assert found.starts[1].camera.parameters[0] == pytest.approx(47 / 43.267 * 400, rel=1e-3)
     assert any("theirs is estimated" in note for note in found.notes)
     with pytest.raises(InputError, match=r"a focal length of 600 px .* and 268 px by the EXIF"):
-        assigned(tmp_path, Interiors(cameras=(longer(600 / 270),)), by="size")
+        assigned(tmp_path, Known(cameras=(longer(600 / 270),)), by="size")
 
 
 def block_of(images: list[str], camera: list[int], cameras: tuple[Camera, ...]) -> ImageBlock:

@@ -13,7 +13,7 @@ import pandas as pd
 from thalweg.calibration import collinear, interior_calibration, read_camera, same_size
 from thalweg.core import ArrayF, Camera, InputError, LocalFrame
 from thalweg.core.calibration import Source, write_calibration
-from thalweg.images.bundle import CONTROL_COLUMNS
+from thalweg.images.bundle import CONTROL_COLUMNS, statistics_of
 from thalweg.images.control import frame_about, matched_marks, read_all_control_points, read_all_marks
 from thalweg.images.imports import import_orientations
 from thalweg.images.masks import size_of
@@ -88,7 +88,7 @@ def judge_points(
     facts : as its ``check_points``; empty without a point that two images show.
     """
     rows: list[dict[str, Any]] = []
-    tests, squares, variances = [], [], []
+    tests, offs, covs = [], [], []
     for k, name in enumerate(control.names):
         seen = np.flatnonzero((marks.point == k) & poses.oriented[marks.image])
         row: dict[str, Any] = {"point": name, "role": "check", "images": len(seen), "reason": ""}
@@ -108,8 +108,8 @@ def judge_points(
         cov = cov + control.cov_wcs_m2[k]
         test = float(off @ np.linalg.solve(cov, off))
         tests.append(test)
-        squares.append(off**2)
-        variances.append(np.diag(cov))
+        offs.append(off)
+        covs.append(cov)
         row |= {
             "rms_px": float(np.sqrt(np.mean(np.sum(residual**2, axis=1)))),
             "normalised": test / 3,
@@ -121,15 +121,7 @@ def judge_points(
     table = pd.DataFrame(rows, columns=CONTROL_COLUMNS)
     if not tests:
         return table, {}
-    rmse, predicted = (np.sqrt(np.mean(values, axis=0)) for values in (squares, variances))
-    return table, {
-        "points": len(tests),
-        "independent": _SHARED,
-        "rmse_mm": dict(zip(_AXES, (1e3 * rmse).tolist(), strict=True)),
-        "predicted_mm": dict(zip(_AXES, (1e3 * predicted).tolist(), strict=True)),
-        "ratio": float(np.linalg.norm(rmse) / np.linalg.norm(predicted)),
-        "normalised": float(np.mean(tests) / 3),
-    }
+    return table, statistics_of(np.array(offs), np.array(covs), np.array(tests), _SHARED)
 
 
 def place_files(

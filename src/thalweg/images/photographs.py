@@ -10,7 +10,6 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 from pyproj import CRS
-from scipy.spatial.transform import Rotation
 
 from thalweg.calibration import LENSES, Rig, read_camera, read_rig, read_views
 from thalweg.core import ArrayB, ArrayF, InputError, LazWriter, LocalFrame, Trajectory
@@ -194,13 +193,11 @@ def pose_table(poses: ImagePoses, crs: str | None) -> pd.DataFrame:
     ``reason`` why there is no pose. Of a model in its own frame (None) places are ``x, y, z`` with
     ``sigma_x`` ...
     """
-    quaternion = np.full((len(poses.images), 4), np.nan)
-    quaternion[poses.oriented] = Rotation.from_matrix(poses.R_wcs_ccs[poses.oriented]).as_quat()
     sigma = np.sqrt(np.diagonal(poses.cov_pose_wcs, axis1=1, axis2=2))
     places = in_crs(poses.centre_wcs_m, poses.frame, crs)
     columns: dict[str, Any] = {"image": list(poses.images)}
     columns |= dict(zip(_axes(crs), places.T, strict=True))
-    columns |= dict(zip(("qx", "qy", "qz", "qw"), quaternion.T, strict=True))
+    columns |= dict(zip(("qx", "qy", "qz", "qw"), poses.quaternions.T, strict=True))
     for k, axis in enumerate(_axes(crs)):
         columns[f"sigma_{axis}"] = sigma[:, k]
     for k, axis in enumerate("xyz"):

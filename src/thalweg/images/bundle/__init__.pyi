@@ -18,6 +18,7 @@ from .job import (
     pieces_tables as pieces_tables,
     read_interiors as read_interiors,
     read_pieces as read_pieces,
+    statistics_of as statistics_of,
     summary_text as summary_text,
     write_cameras as write_cameras,
 )

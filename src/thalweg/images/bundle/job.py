@@ -561,15 +561,21 @@ def check_statistics(
     check = control.check & (result.n_marks > 0) & ~np.isin(np.array(control.names, object), list(demoted))
     if not check.any():
         return {}
-    rmse = np.sqrt(np.square(result.off_m[check]).mean(axis=0))
-    predicted = np.sqrt(np.diagonal(result.cov_m2[check], axis1=1, axis2=2).mean(axis=0))
+    independent = _independent(adjusted, result, np.flatnonzero(check))
+    return statistics_of(result.off_m[check], result.cov_m2[check], result.test[check], independent)
+
+
+def statistics_of(off_m: ArrayF, cov_m2: ArrayF, test: ArrayF, independent: float) -> dict[str, Any]:
+    """As `check_statistics`, of differences (n, 3) with covariances (n, 3, 3) and normalised squares (n,)."""
+    rmse = np.sqrt(np.square(off_m).mean(axis=0))
+    predicted = np.sqrt(np.diagonal(cov_m2, axis1=1, axis2=2).mean(axis=0))
     return {
-        "points": int(check.sum()),
-        "independent": _independent(adjusted, result, np.flatnonzero(check)),
+        "points": len(test),
+        "independent": independent,
         "rmse_mm": dict(zip(_AXES, (1e3 * rmse).tolist(), strict=True)),
         "predicted_mm": dict(zip(_AXES, (1e3 * predicted).tolist(), strict=True)),
         "ratio": float(np.linalg.norm(rmse) / np.linalg.norm(predicted)),
-        "normalised": float(result.test[check].mean() / 3),
+        "normalised": float(test.mean() / 3),
     }
 
 
@@ -597,24 +603,7 @@ def facts_of(
     layout = adjusted.layout
     sigma = np.sqrt(np.diag(pose_covariance(adjusted))).reshape(-1, 6)
     sigma = sigma[~adjusted.lost_images[layout.image]]
-    cameras = {
-        camera.name: {
-            name: {"value": float(value), "sigma": float(s)}
-            for name, value, s in zip(
-                camera.parameter_names, camera.parameters, np.sqrt(np.diag(camera.cov)), strict=True
-            )
-        }
-        for camera in adjusted_cameras(adjusted)
-    }
-    extras = {
-        name: {"value": float(v), "sigma": float(s)}
-        for name, v, s in zip(
-            layout.names[layout.extras : layout.control],
-            adjusted.x.extras,
-            np.sqrt(np.diag(adjusted.cov)[layout.extras : layout.control]),
-            strict=True,
-        )
-    }
+    extras = slice(layout.extras, layout.control)
     return {
         "sigma0": adjusted.sigma0,
         "redundancy": adjusted.redundancy,
@@ -631,8 +620,11 @@ def facts_of(
         "correlation": adjusted.correlation.facts(),
         "control_marks": {"n": int(adjusted.control_used.sum()), "scale": adjusted.control_scale},
         "left_out": adjusted.left_out,
-        "cameras": cameras,
-        "antenna": extras,
+        "cameras": {
+            camera.name: _estimates(camera.parameter_names, camera.parameters, camera.cov)
+            for camera in adjusted_cameras(adjusted)
+        },
+        "antenna": _estimates(layout.names[extras], adjusted.x.extras, adjusted.cov[extras, extras]),
         "places_of_lenses": _places(adjusted),
         "sigma_position_mm": dict(zip(_AXES, _typical(1e3 * sigma[:, :3]), strict=True)),
         "sigma_rotation_mdeg": dict(zip(_AXES, _typical(1e3 * np.degrees(sigma[:, 3:])), strict=True)),
@@ -640,6 +632,12 @@ def facts_of(
         "contradicting_points": list(demoted),
         "notes": list(notes),
     }
+
+
+def _estimates(names: Sequence[str], values: ArrayF, cov: ArrayF) -> dict[str, dict[str, float]]:
+    """Values and their sigmas by name."""
+    sigma = np.sqrt(np.diag(cov)).tolist()
+    return {n: {"value": v, "sigma": s} for n, v, s in zip(names, values.tolist(), sigma, strict=True)}
 
 
 def _places(adjusted: AdjustedBlock) -> dict[str, Any]:

@@ -157,9 +157,11 @@ class Tracks:
         count = np.bincount(point[marks], minlength=len(self.point))
         rows = np.flatnonzero(marks & (count[point] >= 2))
         kept, first = np.unique(point[rows], return_index=True)
+        return self._of(self.point[kept], np.append(first, len(rows)).astype(np.int64), rows)
+
+    def _of(self, point: ArrayI, first: ArrayI, rows: ArrayI | slice) -> "Tracks":
         names = ("mark", "image", "xy_px", "sigma_px", "view", "along")
-        own = {name: getattr(self, name)[rows] for name in names}
-        return Tracks(point=self.point[kept], first=np.append(first, len(rows)).astype(np.int64), **own)
+        return Tracks(point=point, first=first, **{name: getattr(self, name)[rows] for name in names})
 
     @property
     def at(self) -> ArrayI:
@@ -168,15 +170,12 @@ class Tracks:
 
     def chunks(self) -> Iterator["Tracks"]:
         """Tracks in parts of limited size."""
-        names = ("mark", "image", "xy_px", "sigma_px", "view", "along")
         begin = 0
         while begin < len(self.point):
             end = int(np.searchsorted(self.first, self.first[begin] + CHUNK, side="right")) - 1
             end = min(max(end, begin + 1), len(self.point))
             rows = slice(int(self.first[begin]), int(self.first[end]))
-            own = {name: getattr(self, name)[rows] for name in names}
-            first = self.first[begin : end + 1] - self.first[begin]
-            yield Tracks(point=self.point[begin:end], first=first, **own)
+            yield self._of(self.point[begin:end], self.first[begin : end + 1] - self.first[begin], rows)
             begin = end
 
 

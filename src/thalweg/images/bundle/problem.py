@@ -33,6 +33,7 @@ from thalweg.core import (
     Rigid,
     cross_matrix,
     exp_rotation,
+    rows_of,
 )
 from thalweg.images.model import ControlMarks, ControlPoints, ImageBlock, ImagePoses
 
@@ -162,23 +163,18 @@ class RigFrames:
         """
         row = {name: k for k, name in enumerate(poses.images)}
         at = np.array([row[self.exposures[k]] for k in self.exposure], np.int64)
-        R = poses.R_wcs_ccs[at]
+        own = rows_of(poses, at)
+        R = own.R_wcs_ccs
         arm = np.einsum("iab,ib->ia", R, np.array([T.shift_m for T in self.T_rig_lens])[camera])
         J = np.broadcast_to(np.eye(6), (len(at), 6, 6)).copy()
         J[:, :3, 3:] = -cross_matrix(arm)
         return replace(
-            poses,
+            own,
             images=tuple(images),
-            t_gps_s=poses.t_gps_s[at],
-            sigma_t_s=poses.sigma_t_s[at],
-            oriented=poses.oriented[at],
-            reasons=tuple(poses.reasons[k] for k in at),
-            centre_wcs_m=poses.centre_wcs_m[at] + arm,
+            centre_wcs_m=own.centre_wcs_m + arm,
             R_wcs_ccs=R @ np.array([T.R for T in self.T_rig_lens])[camera],
-            cov_pose_wcs=J @ poses.cov_pose_wcs[at] @ np.swapaxes(J, 1, 2),
-            cov_next=np.where(poses.oriented[at, None, None], 0.0, np.nan) * np.ones((6, 6)),
-            n_marks=poses.n_marks[at],
-            rms_px=poses.rms_px[at],
+            cov_pose_wcs=J @ own.cov_pose_wcs @ np.swapaxes(J, 1, 2),
+            cov_next=np.where(own.oriented[:, None, None], 0.0, np.nan) * np.ones((6, 6)),
         )
 
 

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from thalweg.calibration import LENS_SIGMA
-from thalweg.core import PARAMETERS, ArrayB, ArrayF, ArrayI, Camera, GeometryError, rotation_vector
+from thalweg.core import PARAMETERS, ArrayB, ArrayF, ArrayI, Camera, GeometryError
 from thalweg.images.bundle.adjustment import AdjustedBlock, ControlResult, adjust_block, control_result
 from thalweg.images.bundle.checks import (
     LEAST,
@@ -31,6 +31,7 @@ from thalweg.images.model import (
     ImageBlock,
     ImagePoses,
     Similarity,
+    angles_between,
     check_place,
     start_from_control,
     start_from_positions,
@@ -86,7 +87,7 @@ def adjust_from_either_start(
     if not gain > 0:
         return problem, first, result, []
     shift = np.linalg.norm(first.x.C + first.origin_m - second.x.C - second.origin_m, axis=1)
-    turn = np.degrees(_angles(first.x.R, second.x.R))
+    turn = np.degrees(angles_between(first.x.R, second.x.R))
     note = (
         "Structure from motion had put the block together in a wrong shape, off by a median of "
         f"{np.median(shift):.2f} m and {np.median(turn):.1f} degrees; adjusted again from the predicted "
@@ -95,10 +96,6 @@ def adjust_from_either_start(
     # a median of millimetres is the same result
     told = [note] if np.median(shift) > 5.0 * np.sqrt(np.median(_variances(second))) else []
     return again, second, control_result(second), told
-
-
-def _angles(one: ArrayF, two: ArrayF) -> ArrayF:
-    return np.asarray(np.linalg.norm(rotation_vector(np.swapaxes(one, 1, 2) @ two), axis=-1))
 
 
 def _variances(adjusted: AdjustedBlock) -> ArrayF:
@@ -121,7 +118,7 @@ def _doubted(adjusted: AdjustedBlock, predictions: ImagePoses | None) -> bool:
         np.stack([np.trace(cov[:, a : a + 3, a : a + 3], axis1=1, axis2=2) for a in (0, 3)], axis=1)
     )
     off = np.linalg.norm(adjusted.x.C[at] + adjusted.origin_m - predictions.centre_wcs_m[where], axis=1)
-    turn = _angles(adjusted.x.R[at], predictions.R_wcs_ccs[where])
+    turn = angles_between(adjusted.x.R[at], predictions.R_wcs_ccs[where])
     with np.errstate(invalid="ignore", divide="ignore"):
         far = np.stack([off, turn], axis=1) / sigma
     return bool((np.nanmedian(far, axis=0) > _SIGMAS).any()) if np.isfinite(far).any() else False

@@ -177,7 +177,7 @@ def read_angles_table(path: Path, settings: Mapping[str, Any], default_crs: str 
         cov=cov,
         absent=off,
         angles=angles,
-        notes=tuple(notes),
+        notes=notes,
     )
 
 
@@ -338,7 +338,7 @@ def read_metashape(path: Path, crs: str | None) -> Finished:
         cov=cov,
         cameras=tuple(lenses),
         absent=absent,
-        notes=tuple(notes),
+        notes=notes,
     )
 
 

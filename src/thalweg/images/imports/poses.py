@@ -482,7 +482,7 @@ def read_model(folder: Path, crs: str | None) -> Finished:
         cov=np.full((len(names), 6, 6), np.nan),
         cameras=[cameras.get(key) for key in lenses],
         n_marks=np.array(n_marks, np.float64),
-        notes=tuple(notes),
+        notes=notes,
     )
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from pyproj import CRS
 from scipy.spatial.transform import Rotation
 
-from thalweg.core import GRS80_SEMI_MAJOR_M, AnyArray, ArrayF, Camera, InputError, LocalFrame
+from thalweg.core import GRS80_SEMI_MAJOR_M, AnyArray, ArrayF, Camera, InputError, LocalFrame, rows_of
 from thalweg.core.values import FORMS, world_of
 from thalweg.images import crs_of
 
@@ -119,12 +119,12 @@ class Finished:
     following: ArrayF | None = None
     absent: Mapping[str, str] = field(default_factory=dict)
     angles: Angles | None = None
-    notes: tuple[str, ...] = ()
+    notes: list[str] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         for name in ("n_marks", "rms_px"):
             object.__setattr__(self, name, np.broadcast_to(getattr(self, name), len(self.names)))
-        object.__setattr__(self, "cameras", self.cameras or (None,) * len(self.names))
+        object.__setattr__(self, "cameras", tuple(self.cameras) or (None,) * len(self.names))
         if not len(self.names):
             raise InputError("no image with a pose", expected="at least one", where=self.where)
         twice = sorted(name for name, times in Counter(self.names).items() if times > 1)[:3]
@@ -137,18 +137,8 @@ class Finished:
 
     def chosen(self, rows: AnyArray) -> "Finished":
         """Some of the poses, by index."""
-        angles = None if self.angles is None else replace(self.angles, values=self.angles.values[rows])
         return replace(
-            self,
-            names=tuple(self.names[i] for i in rows),
-            coordinates=self.coordinates[rows],
-            R_place_ccs=self.R_place_ccs[rows],
-            cov=self.cov[rows],
-            cameras=[self.cameras[i] for i in rows],
-            n_marks=np.asarray(self.n_marks)[rows],
-            rms_px=np.asarray(self.rms_px)[rows],
-            following=None if self.following is None else self.following[rows],
-            angles=angles,
+            rows_of(self, rows), angles=None if self.angles is None else rows_of(self.angles, rows)
         )
 
 

@@ -29,6 +29,7 @@ from thalweg.images.masks.learning import (
     Sample,
     Scenery,
     coarse_features,
+    connected_with,
     fine_features,
     labelled,
     learn_scenery,
@@ -189,15 +190,6 @@ def open_sky(odds: ArrayF32) -> tuple[ArrayB, ArrayB]:
     return wide.astype(np.bool_), np.asarray(keep[labels])
 
 
-def _connected_with(part: ArrayB, core: ArrayB) -> ArrayB:
-    """A part (h, w) and its pieces that hold some of its core."""
-    n, labels = cv2.connectedComponents(part.astype(np.uint8), connectivity=4)
-    keep = np.zeros(n, dtype=np.bool_)
-    keep[np.unique(labels[core & part])] = True
-    keep[0] = False
-    return np.asarray(keep[labels])
-
-
 def against_sky(features: ArrayF32, sure: ArrayB) -> tuple[ArrayF32, ArrayB]:
     """Colour (h, w, 3) against that of the sure sky nearby, and where there is some."""
     side = max(int(_NEAR_SHARE * sure.shape[0]) | 1, 9)
@@ -234,7 +226,7 @@ def sky_pixels(model: SkyModel, features: ArrayF32, may_be: ArrayB) -> ArrayB:
     else:
         wide, sure = open_sky(odds)
         # A white wall or dark concrete has colours of some sky, but seldom those of the sky beside it.
-        out = _connected_with(odds > 0, sure)
+        out = connected_with(odds > 0, sure)
         against, near = against_sky(features, sure)
         # Nothing to compare with: what shows between trunks and under bridges.
         out |= wide & ~near

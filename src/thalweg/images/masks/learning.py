@@ -255,11 +255,17 @@ def _split(values: ArrayF32) -> float:
 
 def reaches_top(part: ArrayB) -> ArrayB:
     """What of a part reaches the upper border."""
+    top = np.zeros_like(part)
+    top[0] = True
+    return connected_with(part, top)
+
+
+def connected_with(part: ArrayB, core: ArrayB) -> ArrayB:
+    """The pieces of a part (h, w) that hold some of its core (h, w)."""
     n, labels = cv2.connectedComponents(part.astype(np.uint8), connectivity=4)
-    top = np.zeros(n, dtype=np.bool_)
-    top[np.unique(labels[0][part[0]])] = True
-    top[0] = False
-    return top[labels]
+    keep = np.zeros(n, dtype=np.bool_)
+    keep[np.unique(labels[core & part])] = True
+    return np.asarray(keep[labels])
 
 
 def _without_false_sky(samples: Sequence[Sample], parts: list[AnyArray]) -> None:

@@ -98,16 +98,20 @@ class ImagePoses:
         """``T_wcs_ccs`` of image k with its covariance."""
         return Rigid(R=self.R_wcs_ccs[k], shift_m=self.centre_wcs_m[k], cov=self.cov_pose_wcs[k])
 
+    @property
+    def quaternions(self) -> ArrayF:
+        """(n, 4) of ``R_wcs_ccs``, scalar last; NaN without a pose."""
+        out = np.full((len(self.images), 4), np.nan)
+        if self.oriented.any():
+            out[self.oriented] = Rotation.from_matrix(self.R_wcs_ccs[self.oriented]).as_quat()
+        return out
+
     def with_times(self, t_gps_s: ArrayF, sigma_t_s: ArrayF) -> "ImagePoses":
         """The same poses with other times of exposure."""
         return replace(self, t_gps_s=t_gps_s, sigma_t_s=sigma_t_s)
 
     def write(self, path: Path) -> None:
         """Write as Parquet table of kind ``image_poses``."""
-        quaternion = np.full((len(self.images), 4), np.nan)
-        known = self.oriented
-        if known.any():
-            quaternion[known] = Rotation.from_matrix(self.R_wcs_ccs[known]).as_quat()
         columns: dict[str, Any] = {
             "image": list(self.images),
             "t_gps_s": self.t_gps_s,
@@ -118,7 +122,7 @@ class ImagePoses:
             "rms_px": self.rms_px,
         }
         columns |= {f"{a}_m": self.centre_wcs_m[:, i] for i, a in enumerate(_PARTS[:3])}
-        columns |= {f"q{a}": quaternion[:, i] for i, a in enumerate("xyzw")}
+        columns |= {f"q{a}": values for a, values in zip("xyzw", self.quaternions.T, strict=True)}
         columns |= {f"cov_{_PARTS[i]}_{_PARTS[j]}": self.cov_pose_wcs[:, i, j] for i, j in _LOWER}
         columns |= {
             f"next_{_PARTS[i]}_{_PARTS[j]}": self.cov_next[:, i, j] for i in range(6) for j in range(6)

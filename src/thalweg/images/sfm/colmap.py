@@ -12,6 +12,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from thalweg.calibration import nominal_camera
 from thalweg.core import COLMAP_MODELS, PARAMETERS, ArrayF, Camera, InputError, missing_package
 
 SEED: Final = 0
@@ -124,13 +125,9 @@ def start_guessed(image: Path, size_px: tuple[int, int], lens: str = "auto") -> 
     """A camera from the focal length in EXIF (35 mm equivalent), else `FOCAL_FACTOR`."""
     lens = "SIMPLE_RADIAL" if lens == "auto" else lens
     model = COLMAP_MODELS[lens][0]
-    focal_px, known = FOCAL_FACTOR * max(size_px), False
     inferred = focal_from_exif(image)
-    if inferred is not None:
-        focal_px, known = inferred, True
-    p = np.zeros(len(PARAMETERS[model]))
-    p[:4] = focal_px, focal_px, size_px[0] / 2, size_px[1] / 2
-    camera = Camera(model=model, size_px=size_px, parameters=p, name="camera")
+    known = inferred is not None
+    camera = nominal_camera("camera", model, size_px, inferred or FOCAL_FACTOR * max(size_px))
     source = f"EXIF of {image.name}" if known else f"{FOCAL_FACTOR:g} times the longer side, a guess"
     return StartCamera(camera=camera, lens=lens, known=known, source=source)
 

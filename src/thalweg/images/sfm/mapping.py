@@ -32,16 +32,6 @@ _SMALLEST_PIECE: Final = 3
 _NAMED: Final = 3
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Marks:
-    """Marks (m,): image, point, pixels (m, 2) and scale of the feature in pixels."""
-
-    image: ArrayI
-    point: ArrayI
-    xy_px: ArrayF
-    scale_px: ArrayF
-
-
 # ---------------------------------------------------------------- mapping
 
 
@@ -369,7 +359,7 @@ def _pieces(
         pose = model.image(key).cam_from_world()
         R[i] = pose.rotation.matrix().T
         centre[i] = -R[i] @ pose.translation
-    points, marks = _marks(model, matches, place_of)
+    points, mark_image, mark_point, place = _marks(model, matches, place_of)
     block = ImageBlock(
         cameras=tuple(cameras),
         images=tuple(matches.pictures[k - 1].name for k in keys),
@@ -377,12 +367,12 @@ def _pieces(
         R_block_ccs=R,
         centre_block_m=centre,
         points_block_m=points,
-        mark_image=marks.image,
-        mark_point=marks.point,
-        mark_px=marks.xy_px,
-        sigma_px=np.ones(len(marks.image)),
+        mark_image=mark_image,
+        mark_point=mark_point,
+        mark_px=place[:, :2],
+        sigma_px=np.ones(len(place)),
     )
-    block, scale_px, facts = cleaned(block, marks.scale_px, 2 * use.max_error_px * matches.scale())
+    block, scale_px, facts = cleaned(block, place[:, 2], 2 * use.max_error_px * matches.scale())
     parts = firm_parts(block, use.min_inliers)
     if sum(len(part) > 1 for part in parts) > 1:
         sizes = ", ".join(str(len(part)) for part in parts if len(part) > 1)
@@ -398,25 +388,18 @@ def _pieces(
     return out
 
 
-def _marks(model: Any, matches: Matches, place_of: Mapping[int, int]) -> tuple[ArrayF, Marks]:
-    ids, image, feature, point = _tracks(model, matches)
-    place = matches.place[feature].astype(np.float64).reshape(-1, 3)
-    return np.array([model.point3D(p).xyz for p in ids]).reshape(-1, 3), Marks(
-        image=np.array([place_of[k + 1] for k in image.tolist()], np.int64),
-        point=point,
-        xy_px=place[:, :2],
-        scale_px=place[:, 2],
-    )
-
-
-def _tracks(model: Any, matches: Matches) -> tuple[list[int], ArrayI, ArrayI, ArrayI]:
-    """COLMAP's numbers of the points; image, feature (row of ``matches.place``) and point of the m marks."""
+def _marks(
+    model: Any, matches: Matches, place_of: Mapping[int, int]
+) -> tuple[ArrayF, ArrayI, ArrayI, ArrayF]:
+    """Points (p, 3); image, point, and place of the feature (pixels, scale) of the m marks."""
     ids = sorted(int(p) for p in model.point3D_ids())
     rows = [
-        (e.image_id - 1, e.point2D_idx, i) for i, p in enumerate(ids) for e in model.point3D(p).track.elements
+        (e.image_id, e.point2D_idx, i) for i, p in enumerate(ids) for e in model.point3D(p).track.elements
     ]
-    image, feature, point = np.array(rows, np.int64).reshape(-1, 3).T
-    return ids, image, feature + matches.start[image], point
+    key, feature, point = np.array(rows, np.int64).reshape(-1, 3).T
+    place = matches.place[feature + matches.start[key - 1]].astype(np.float64).reshape(-1, 3)
+    image = np.array([place_of[k] for k in key.tolist()], np.int64)
+    return np.array([model.point3D(p).xyz for p in ids]).reshape(-1, 3), image, point, place
 
 
 # ---------------------------------------------------------------- marks of points in images: doubled ones

@@ -238,12 +238,11 @@ def plan_matches(
     given = known or Known()
     files = named_once(images)
     wanted = section or MappingSettings()
-    interiors = Interiors(cameras=given.cameras, of_folder=given.of_folder)
     found = assign_cameras(
         features.pictures,
         files,
         cameras_of(_of_block(files, features.pictures), wanted.cameras, tuple(given.of_folder)),
-        interiors,
+        given,
         lens=wanted.lens,
         interior=wanted.interior,
     )
@@ -331,16 +330,6 @@ def _notes(pictures: Sequence[Picture]) -> list[str]:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Interiors:
-    """Given interior orientations: ``cameras`` told apart by the size of their pictures, and those
-    ``of_folder`` for the images in a folder and below it. Either may be empty.
-    """
-
-    cameras: tuple[Camera, ...] = ()
-    of_folder: Mapping[str, Camera] = field(default_factory=dict)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class Assigned:
     """Starts ``starts``, index ``camera`` (i,) of each image into them (-1: takes no part), ``pictures`` with
     the problems that came up, and ``notes``.
@@ -356,7 +345,7 @@ def assign_cameras(
     pictures: Sequence[Picture],
     images: Mapping[str, Path],
     groups: Sequence[ImageCamera],
-    given: Interiors,
+    given: Known,
     *,
     lens: str = "auto",
     interior: str = "auto",
