@@ -626,18 +626,10 @@ def _track_weights(problem: Problem, layout: Layout, x: State, weights: Weights)
             chosen.first, part.by_point, part.residual, chosen.sigma_px, chosen.view, known
         )
     n = len(every.point)
-    logarithm, square, fit = np.empty(n), np.empty(n), np.empty(len(every.mark))
     part = linearised_tracks(problem, layout, x, every)
-    restricted_parts(
-        every.first,
-        part.by_point,
-        part.residual,
-        every.sigma_px,
-        every.view,
-        weights.correlation.model,
-        logarithm,
-        square,
-        fit,
+    model = weights.correlation.model
+    _, square, fit = restricted_parts(
+        every.first, part.by_point, part.residual, every.sigma_px, every.view, model, True
     )
     degrees = np.maximum(2.0 * np.add.reduceat(kept[every.mark], every.first[:-1]) - 3.0, 1.0)
     region = weights.region[every.point]

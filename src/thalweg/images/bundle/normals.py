@@ -343,9 +343,9 @@ def point_steps(
         part = linearised_tracks(problem, layout, x, some)
         by_pose = np.einsum("maj,mj->ma", part.by_pose, poses[layout.exposure[some.image]])
         left = part.residual - by_pose - part.by_rest @ rest
-        found = np.empty((len(some.point), 3))
-        solve_points(some.first, part.by_point, left, some.sigma_px, some.view, model.model, damping, found)
-        step[some.point] = found
+        step[some.point] = solve_points(
+            some.first, part.by_point, left, some.sigma_px, some.view, model.model, damping
+        )
     return step
 
 
@@ -358,9 +358,7 @@ def cost_of(
         xy = projected(problem, x, some.image, x.X[some.at])
         residual = np.nan_to_num(some.xy_px - xy, nan=NO_IMAGE_PX)
         residual = np.einsum("mij,mj->mi", _turns(some.along), residual)
-        value = np.empty(len(some.point))
-        track_costs(some.first, residual, some.sigma_px, some.view, model.model, value)
-        total += float(value.sum())
+        total += track_costs(some.first, residual, some.sigma_px, some.view, model.model)
     for name, _, W, off in _other_groups(problem, layout, x, control_sigma_px):
         total += float(off @ (W @ off)) if name != HELD else 0.0
     return total
@@ -556,13 +554,12 @@ def estimate(
     starts = np.concatenate([[0], np.cumsum(length[chosen])])
     parts = tuple(np.ascontiguousarray(a[rows]) for a in (by_point, residual_px, sigma_px, view))
     degrees = (2 * length[chosen] - 3).astype(np.float64)
-    logarithm, square, none = np.empty(len(chosen)), np.empty(len(chosen)), np.empty(0)
     freedoms = np.array(_FREEDOMS)
     constants = np.array([_constant(degrees, freedom) for freedom in _FREEDOMS])
 
     def profile(shape: Correlation) -> tuple[float, float, float]:
         """-2 ln L for the best size and freedom of errors of that shape, and these."""
-        restricted_parts(starts, *parts, shape.model, logarithm, square, none)
+        logarithm, square, _ = restricted_parts(starts, *parts, shape.model, False)
         value, variance, freedom = _best_sized(square, degrees, freedoms, constants)
         return value + float(logarithm.sum()), variance, freedom
 
@@ -781,24 +778,50 @@ def _inverse3(V: ArrayF, out: ArrayF) -> float:
 
 
 @njit(cache=True, error_model="numpy")
-def _eliminated(n: int, A: ArrayF, W: ArrayF, damping: float, WA: ArrayF, V: ArrayF, Vi: ArrayF) -> float:
-    """Fill ``W A`` (n, 2, 3), ``V`` and its inverse for a track; returns the determinant of ``V``."""
+def _buffers(first: ArrayI) -> tuple[ArrayF, ArrayF, ArrayF, ArrayF, ArrayF, ArrayF, ArrayF]:
+    """Room for what `_eliminated` fills, as large as the longest track needs."""
+    n = 0
+    for k in range(len(first) - 1):
+        n = max(n, first[k + 1] - first[k])
+    W, WA, WAV = np.empty((2, n, n)), np.empty((n, 2, 3)), np.empty((n, 2, 3))
+    return W, WA, WAV, np.empty((n, 2)), np.empty(3), np.empty((3, 3)), np.empty((3, 3))
+
+
+@njit(cache=True, error_model="numpy")
+def _eliminated(
+    at: int, n: int, A: ArrayF, r: ArrayF, sigma: ArrayF, view: ArrayF, model: ArrayF, damping: float,
+    W: ArrayF, WA: ArrayF, WAV: ArrayF, Wr: ArrayF, AWr: ArrayF, V: ArrayF, Vi: ArrayF,
+) -> tuple[float, float]:  # fmt: skip
+    """Fill what eliminates a point: ``W``, ``W A``, ``W A V^-1``, ``W r``, ``A^T W r``, V and ``V^-1``.
+
+    The track has n marks from ``at`` on. Returns the logarithm of the determinants of its covariances, and
+    the determinant of ``V``.
+    """
+    log_determinant = _inverse_track(n, sigma[at : at + n], view[at : at + n], model, W)
     V[:] = 0.0
+    AWr[:] = 0.0
     for i in range(n):
         for a in range(2):
+            value = 0.0
+            for j in range(n):
+                value += W[a, i, j] * r[at + j, a]
+            Wr[i, a] = value
             for x in range(3):
                 value = 0.0
                 for j in range(n):
-                    value += W[a, i, j] * A[j, a, x]
+                    value += W[a, i, j] * A[at + j, a, x]
                 WA[i, a, x] = value
+                AWr[x] += value * r[at + i, a]
+                for y in range(3):
+                    V[y, x] += A[at + i, a, y] * value
+    for x in range(3):
+        V[x, x] *= 1.0 + damping
+    determinant = _inverse3(V, Vi)
     for i in range(n):
         for a in range(2):
             for x in range(3):
-                for y in range(3):
-                    V[x, y] += A[i, a, x] * WA[i, a, y]
-    for x in range(3):
-        V[x, x] *= 1.0 + damping
-    return _inverse3(V, Vi)
+                WAV[i, a, x] = WA[i, a, 0] * Vi[0, x] + WA[i, a, 1] * Vi[1, x] + WA[i, a, 2] * Vi[2, x]
+    return log_determinant, determinant
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -830,68 +853,45 @@ def add_tracks(
     n_poses : 6 times the number of exposures.
     S, g : (u, u), (u,) poses first, then the q others; only the upper half of S is filled.
     """
-    longest = 0
-    for k in range(len(first) - 1):
-        longest = max(longest, first[k + 1] - first[k])
-    W, WA = np.empty((2, longest, longest)), np.empty((longest, 2, 3))
-    V, Vi, Wr = np.empty((3, 3)), np.empty((3, 3)), np.empty((longest, 2))
-    left, P, T = np.empty((2, 3)), np.empty((2, 2)), np.empty((2, 6))
+    W, WA, WAV, Wr, AWr, V, Vi = _buffers(first)
+    P, T = np.empty((2, 2)), np.empty((2, 6))
     q = by_rest.shape[2]
-    PR, Pr = np.empty((longest, 2, q)), np.empty((longest, 2))
-    rest, point = np.empty((3, q)), np.empty(3)
+    PR, rest = np.empty((len(WA), 2, q)), np.empty((3, q))
     cost = 0.0
     for k in range(len(first) - 1):
         at, n = first[k], first[k + 1] - first[k]
-        if n == 0:
-            continue
-        A = by_point[at : at + n]
-        _inverse_track(n, sigma[at : at + n], view[at : at + n], model, W)
-        _eliminated(n, A, W, damping, WA, V, Vi)
-        point[:] = 0.0
+        _eliminated(
+            at, n, by_point, residual, sigma, view, model, damping, W, WA, WAV, Wr, AWr, V, Vi
+        )  # fmt: skip
         rest[:] = 0.0
         for i in range(n):
             for a in range(2):
-                value = 0.0
-                for j in range(n):
-                    value += W[a, i, j] * residual[at + j, a]
-                Wr[i, a] = value
-                cost += residual[at + i, a] * value
+                cost += residual[at + i, a] * Wr[i, a]
                 for x in range(3):
-                    point[x] += WA[i, a, x] * residual[at + i, a]
                     for c in range(q):
                         rest[x, c] += WA[i, a, x] * by_rest[at + i, a, c]
-        # P applied to the residuals and to the derivatives by what all images share
+        # P applied to the residuals, in place, and to the derivatives by what all images share
         for i in range(n):
             for a in range(2):
-                value = Wr[i, a]
                 for x in range(3):
-                    left[a, x] = 0.0
-                    for y in range(3):
-                        left[a, x] += WA[i, a, y] * Vi[y, x]
-                    value -= left[a, x] * point[x]
-                Pr[i, a] = value
+                    Wr[i, a] -= WAV[i, a, x] * AWr[x]
                 for c in range(q):
                     value = 0.0
                     for j in range(n):
                         value += W[a, i, j] * by_rest[at + j, a, c]
                     for x in range(3):
-                        value -= left[a, x] * rest[x, c]
+                        value -= WAV[i, a, x] * rest[x, c]
                     PR[i, a, c] = value
         for i in range(n):
             at_i = 6 * image[at + i]
-            for a in range(2):
-                for x in range(3):
-                    left[a, x] = 0.0
-                    for y in range(3):
-                        left[a, x] += WA[i, a, y] * Vi[y, x]
             for b in range(6):
-                g[at_i + b] += by_pose[at + i, 0, b] * Pr[i, 0] + by_pose[at + i, 1, b] * Pr[i, 1]
+                g[at_i + b] += by_pose[at + i, 0, b] * Wr[i, 0] + by_pose[at + i, 1, b] * Wr[i, 1]
                 for c in range(q):
                     S[at_i + b, n_poses + c] += (
                         by_pose[at + i, 0, b] * PR[i, 0, c] + by_pose[at + i, 1, b] * PR[i, 1, c]
                     )
             for b in range(q):
-                g[n_poses + b] += by_rest[at + i, 0, b] * Pr[i, 0] + by_rest[at + i, 1, b] * Pr[i, 1]
+                g[n_poses + b] += by_rest[at + i, 0, b] * Wr[i, 0] + by_rest[at + i, 1, b] * Wr[i, 1]
                 for c in range(b, q):
                     S[n_poses + b, n_poses + c] += (
                         by_rest[at + i, 0, b] * PR[i, 0, c] + by_rest[at + i, 1, b] * PR[i, 1, c]
@@ -904,7 +904,7 @@ def add_tracks(
                     for b in range(2):
                         P[a, b] = W[a, i, j] if a == b else 0.0
                         for x in range(3):
-                            P[a, b] -= left[a, x] * WA[j, b, x]
+                            P[a, b] -= WAV[i, a, x] * WA[j, b, x]
                 for b in range(6):
                     T[0, b] = P[0, 0] * by_pose[at + j, 0, b] + P[0, 1] * by_pose[at + j, 1, b]
                     T[1, b] = P[1, 0] * by_pose[at + j, 0, b] + P[1, 1] * by_pose[at + j, 1, b]
@@ -924,107 +924,72 @@ def solve_points(
     view: ArrayF,
     model: ArrayF,
     damping: float,
-    step: ArrayF,
-) -> None:
+) -> ArrayF:
     """Best change (p, 3) of each point for residuals (m, 2) that remain after the change of the images."""
-    longest = 0
-    for k in range(len(first) - 1):
-        longest = max(longest, first[k + 1] - first[k])
-    W, WA = np.empty((2, longest, longest)), np.empty((longest, 2, 3))
-    V, Vi = np.empty((3, 3)), np.empty((3, 3))
-    right = np.empty(3)
-    for k in range(len(first) - 1):
+    W, WA, WAV, Wr, AWr, V, Vi = _buffers(first)
+    step = np.empty((len(first) - 1, 3))
+    for k in range(len(step)):
         at, n = first[k], first[k + 1] - first[k]
-        step[k] = 0.0
-        if n == 0:
-            continue
-        _inverse_track(n, sigma[at : at + n], view[at : at + n], model, W)
-        _eliminated(n, by_point[at : at + n], W, damping, WA, V, Vi)
-        right[:] = 0.0
-        for i in range(n):
-            for a in range(2):
-                for x in range(3):
-                    right[x] += WA[i, a, x] * residual[at + i, a]
+        _eliminated(
+            at, n, by_point, residual, sigma, view, model, damping, W, WA, WAV, Wr, AWr, V, Vi
+        )  # fmt: skip
         for x in range(3):
-            for y in range(3):
-                step[k, x] += Vi[x, y] * right[y]
+            step[k, x] = Vi[x, 0] * AWr[0] + Vi[x, 1] * AWr[1] + Vi[x, 2] * AWr[2]
+    return step
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def track_costs(
-    first: ArrayI, residual: ArrayF, sigma: ArrayF, view: ArrayF, model: ArrayF, cost: ArrayF
-) -> None:
-    """Weighted square sum ``r^T W r`` (p,) of each track."""
-    longest = 0
-    for k in range(len(first) - 1):
-        longest = max(longest, first[k + 1] - first[k])
-    W = np.empty((2, longest, longest))
+def track_costs(first: ArrayI, residual: ArrayF, sigma: ArrayF, view: ArrayF, model: ArrayF) -> float:
+    """Weighted square sum ``r^T W r`` of all tracks."""
+    W = _buffers(first)[0]
+    cost = 0.0
     for k in range(len(first) - 1):
         at, n = first[k], first[k + 1] - first[k]
         _inverse_track(n, sigma[at : at + n], view[at : at + n], model, W)
-        cost[k] = 0.0
         for i in range(n):
             for j in range(n):
                 for a in range(2):
-                    cost[k] += residual[at + i, a] * W[a, i, j] * residual[at + j, a]
+                    cost += residual[at + i, a] * W[a, i, j] * residual[at + j, a]
+    return cost
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def restricted_parts(
-    first: ArrayI,
-    by_point: ArrayF,
-    residual: ArrayF,
-    sigma: ArrayF,
-    view: ArrayF,
-    model: ArrayF,
-    logarithm: ArrayF,
-    square: ArrayF,
-    fit: ArrayF,
-) -> None:
+    first: ArrayI, by_point: ArrayF, residual: ArrayF, sigma: ArrayF, view: ArrayF, model: ArrayF, fits: bool
+) -> tuple[ArrayF, ArrayF, ArrayF]:
     """Parts of the restricted likelihood (Patterson and Thompson 1971) of each track, and how a mark fits.
 
     Of the residuals all that a change of the point could explain is left out: ``logarithm`` (p,) is
-    ``ln |C| + ln |V|``, ``square`` (p,) is ``r^T P r``. ``fit`` (m,), unless it is empty, becomes
+    ``ln |C| + ln |V|``, ``square`` (p,) is ``r^T P r``. ``fit`` (m,), if ``fits``, is
     ``sqrt(z^T P_ii^-1 z)`` with ``z = (P r)_i``: how far a mark is, in units of its own sigma, from what all
     others of its track say of it.
     """
-    longest = 0
-    for k in range(len(first) - 1):
-        longest = max(longest, first[k + 1] - first[k])
-    W, WA = np.empty((2, longest, longest)), np.empty((longest, 2, 3))
-    V, Vi, point = np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
-    left, z = np.empty((2, 3)), np.empty(2)
-    for k in range(len(first) - 1):
+    W, WA, WAV, Wr, AWr, V, Vi = _buffers(first)
+    logarithm, square = np.zeros(len(first) - 1), np.zeros(len(first) - 1)
+    fit = np.empty(len(residual) if fits else 0)
+    for k in range(len(square)):
         at, n = first[k], first[k + 1] - first[k]
-        logarithm[k] = square[k] = 0.0
         if n < 2:
             continue
-        log_det = _inverse_track(n, sigma[at : at + n], view[at : at + n], model, W)
-        determinant = _eliminated(n, by_point[at : at + n], W, 0.0, WA, V, Vi)
+        log_det, determinant = _eliminated(
+            at, n, by_point, residual, sigma, view, model, 0.0, W, WA, WAV, Wr, AWr, V, Vi
+        )  # fmt: skip
         logarithm[k] = log_det + np.log(determinant)
-        point[:] = 0.0
         for i in range(n):
             for a in range(2):
                 for x in range(3):
-                    point[x] += WA[i, a, x] * residual[at + i, a]
-        for i in range(n):
-            for a in range(2):
-                z[a] = 0.0
-                for j in range(n):
-                    z[a] += W[a, i, j] * residual[at + j, a]
-                for x in range(3):
-                    left[a, x] = 0.0
-                    for y in range(3):
-                        left[a, x] += WA[i, a, y] * Vi[y, x]
-                    z[a] -= left[a, x] * point[x]
-                square[k] += residual[at + i, a] * z[a]
-            if len(fit):
+                    Wr[i, a] -= WAV[i, a, x] * AWr[x]
+                square[k] += residual[at + i, a] * Wr[i, a]
+            if fits:
                 # a direction that only this mark shows has no check: it gets a little weight of its own
                 xx, yy = 1.001 * W[0, i, i], 1.001 * W[1, i, i]
                 xy = 0.0
                 for x in range(3):
-                    xx -= left[0, x] * WA[i, 0, x]
-                    yy -= left[1, x] * WA[i, 1, x]
-                    xy -= left[0, x] * WA[i, 1, x]
-                value = (yy * z[0] * z[0] - 2 * xy * z[0] * z[1] + xx * z[1] * z[1]) / (xx * yy - xy * xy)
+                    xx -= WAV[i, 0, x] * WA[i, 0, x]
+                    yy -= WAV[i, 1, x] * WA[i, 1, x]
+                    xy -= WAV[i, 0, x] * WA[i, 1, x]
+                value = (
+                    yy * Wr[i, 0] * Wr[i, 0] - 2 * xy * Wr[i, 0] * Wr[i, 1] + xx * Wr[i, 1] * Wr[i, 1]
+                ) / (xx * yy - xy * xy)
                 fit[at + i] = np.sqrt(max(value, 0.0))
+    return logarithm, square, fit

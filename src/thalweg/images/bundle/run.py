@@ -175,18 +175,8 @@ def misfit(one: AdjustedBlock, first: AdjustedBlock, second: AdjustedBlock) -> f
     sigma = block.sigma_px
     tracks = tracks_of(problem, first.used & second.used, sigma, view)
     part = linearised_tracks(problem, one.layout, x, tracks)
-    n = len(tracks.point)
-    logarithm, square = np.empty(n), np.empty(n)
-    restricted_parts(
-        tracks.first,
-        part.by_point,
-        part.residual,
-        tracks.sigma_px,
-        tracks.view,
-        model.model,
-        logarithm,
-        square,
-        np.empty(0),
+    _, square, _ = restricted_parts(
+        tracks.first, part.by_point, part.residual, tracks.sigma_px, tracks.view, model.model, False
     )
     total = float(_surprise(square, 2.0 * np.diff(tracks.first) - 3.0, model).sum())
     off = one.control_residual_px / (problem.marks.sigma_px * second.control_scale)[:, None]
