@@ -100,7 +100,7 @@ def in_water_of(sensor: Sensor, temperature_c: float, wavelength_nm: float = 520
     return sensor.with_water(water(wavelength_nm, temperature_c) / air(wavelength_nm) * sensor.window.n_air)
 
 
-def true_sensor(nominal: Sensor, seed: int, *, n_water: float | None = None, tilt_deg: float = 0.0) -> Sensor:
+def true_sensor(nominal: Sensor, seed: int, *, tilt_deg: float = 0.0) -> Sensor:
     """A sensor as it was really built: the nominal one with errors of mounting, of the lens and of the glass.
 
     Parameters
@@ -108,7 +108,6 @@ def true_sensor(nominal: Sensor, seed: int, *, n_water: float | None = None, til
     nominal : what the drawing says.
     seed : of the campaign; the streams are ``light sheet true laser``, ``... camera``, ``... lens``, ``...
         glass``.
-    n_water : index of the true water, None: the nominal one.
     tilt_deg : standard deviation of the window's tilt about each axis.
     """
     laser, camera = _draw(seed, "laser", LASER_TOLERANCE), _draw(seed, "camera", CAMERA_TOLERANCE)
@@ -120,7 +119,6 @@ def true_sensor(nominal: Sensor, seed: int, *, n_water: float | None = None, til
     window = replace(
         nominal.window,
         thickness_mm=nominal.window.thickness_mm + GLASS_TOLERANCE_MM * float(glass[0]),
-        n_water=nominal.window.n_water if n_water is None else n_water,
         tilt_x_rad=nominal.window.tilt_x_rad + float(np.deg2rad(tilt_deg) * glass[1]),
         tilt_y_rad=nominal.window.tilt_y_rad + float(np.deg2rad(tilt_deg) * glass[2]),
     )

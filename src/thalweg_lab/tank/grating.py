@@ -141,15 +141,7 @@ class SeenPoints:
     slope: ArrayF
 
 
-def make_grating(
-    sensor: Sensor,
-    seed: int,
-    *,
-    lines: int = 15,
-    step_deg: float = 1.7,
-    fan_deg: float = 28.2,
-    errors: GratingErrors | None = None,
-) -> Grating:
+def make_grating(sensor: Sensor, seed: int, *, errors: GratingErrors | None = None) -> Grating:
     """A grating in the place of the sensor's laser; T 4.2 has 15 lines, 1.7 degrees apart, 28.2 wide."""
     errors = GratingErrors() if errors is None else errors
 
@@ -157,20 +149,20 @@ def make_grating(
         """Normal numbers of a stream of their own."""
         return generator(seed, f"grating_{name}").standard_normal(shape)
 
-    design = generator(seed, "grating_irregular").uniform(-1.0, 1.0, lines - 1)
-    step = np.sin(np.deg2rad(step_deg))
+    n = 15
+    design = generator(seed, "grating_irregular").uniform(-1.0, 1.0, n - 1)
     places = np.concatenate([[0.0], np.cumsum(1.0 + errors.irregular * design)])
     # the opening of the whole stays, so that designs are compared on the same width
-    places *= step * (lines - 1) / places[-1]
+    places *= np.sin(np.deg2rad(1.7)) * (n - 1) / places[-1]
     places -= places[-1] / 2
     return Grating(
         origin_lcs_mm=sensor.sheet.origin_lcs_mm,
         angles_rad=sensor.sheet.angles_rad,
-        half_angle_rad=float(np.deg2rad(fan_deg / 2)),
-        cosine_offsets=places + np.deg2rad(errors.sigma_spacing_deg) * white("spacing", lines),
-        rotations=np.deg2rad(errors.sigma_rotation_deg) * white("rotation", lines),
-        bows=errors.sigma_bow * white("bow", lines),
-        offsets_mm=np.asarray(errors.sigma_origin_mm) * white("origin", lines, 3),
+        half_angle_rad=float(np.deg2rad(28.2 / 2)),
+        cosine_offsets=places + np.deg2rad(errors.sigma_spacing_deg) * white("spacing", n),
+        rotations=np.deg2rad(errors.sigma_rotation_deg) * white("rotation", n),
+        bows=errors.sigma_bow * white("bow", n),
+        offsets_mm=np.asarray(errors.sigma_origin_mm) * white("origin", n, 3),
         errors=errors,
     )
 
@@ -200,7 +192,6 @@ def calibration_points(
     points_per_line: int = 60,
     pairs_per_line: int = 6,
     sigma_px: float = 0.3,
-    sigma_along_px: float = 1.0,
     paired_lines: tuple[int, ...] | None = None,
     name: str = "calibration",
 ) -> LevelPoints:
@@ -232,7 +223,7 @@ def calibration_points(
     role = np.concatenate([np.full(len(a), r) for _, _, a, r in parts])
     xy, angle = image_of_level(sensor, grating, line, np.concatenate([a for _, _, a, _ in parts]), depths)
     across = generator(seed, f"{name}_across").standard_normal(len(line)) * sigma_px
-    along = generator(seed, f"{name}_along").standard_normal(len(line)) * sigma_along_px * (role > 0)
+    along = generator(seed, f"{name}_along").standard_normal(len(line)) * (role > 0)
     u = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     xy = xy + across[:, None] * u + along[:, None] * np.stack([-u[:, 1], u[:, 0]], axis=1)
     first = np.flatnonzero(role == 1)
@@ -243,7 +234,7 @@ def calibration_points(
         sigma_px=np.full(len(line), sigma_px),
         depth_mm=depths,
         pairs=np.stack([first, first + len(marks)], axis=1),
-        sigma_along_px=np.full(len(first), sigma_along_px),
+        sigma_along_px=np.ones(len(first)),
     )
     return points.of(np.isfinite(xy).all(axis=1))
 

@@ -89,10 +89,6 @@ def rail(
     middle_lcs_mm: ArrayF,
     middle_obj_mm: ArrayF,
     name: str,
-    wobble_mm: float = 0.3,
-    wobble_deg: float = 0.15,
-    step_spread: float = 0.1,
-    interval_s: float = 2.0,
     kappa_rad: float = 0.0,
 ) -> SensorPath:
     """A hand-driven rail across the line, as in P4 7.3: steps of 2 to 5 mm, the sensor stands at each image.
@@ -104,22 +100,19 @@ def rail(
     middle_lcs_mm, middle_obj_mm : (3,) point of the sensor's frame that meets this point of the object in the
         middle of the way.
     name : of the run, for its random streams.
-    wobble_mm, wobble_deg : standard deviation of each component of the pose about the straight way.
-    step_spread : standard deviation of a step as a share of it.
-    interval_s : time from image to image.
     kappa_rad : direction of the laser line in lcs, from its x axis: x of the object lies along it.
     """
-    steps = 1.0 + step_spread * generator(seed, f"light sheet {name} steps").standard_normal(lines)
+    steps = 1.0 + 0.1 * generator(seed, f"light sheet {name} steps").standard_normal(lines)
     wobble = generator(seed, f"light sheet {name} wobble").standard_normal((lines, 6))
     way = np.cumsum(steps) * step_mm
     way -= way.mean()
-    turn = Rotation.from_rotvec(np.deg2rad(wobble_deg) * wobble[:, 3:]).as_matrix()
+    turn = Rotation.from_rotvec(np.deg2rad(0.15) * wobble[:, 3:]).as_matrix()
     R = turn @ rotation_opk(0.0, 0.0, -kappa_rad)
-    at = middle_obj_mm + np.stack([np.zeros(lines), way, np.zeros(lines)], axis=1) + wobble_mm * wobble[:, :3]
+    at = middle_obj_mm + np.stack([np.zeros(lines), way, np.zeros(lines)], axis=1) + 0.3 * wobble[:, :3]
     return SensorPath(
         R_obj_lcs=R,
         shift_obj_mm=at - np.einsum("nij,j->ni", R, middle_lcs_mm),
-        t_s=np.asarray(interval_s * np.arange(lines, dtype=np.float64)),
+        t_s=np.asarray(2.0 * np.arange(lines, dtype=np.float64)),
     )
 
 
@@ -132,10 +125,6 @@ def drift(
     middle_lcs_mm: ArrayF,
     start_obj_mm: ArrayF,
     name: str,
-    roll_deg: float = 0.6,
-    pitch_deg: float = 0.4,
-    heave_mm: float = 4.0,
-    period_s: float = 1.8,
     kappa_rad: float = 0.0,
 ) -> SensorPath:
     """A slow boat along y of the object, rolling, pitching and heaving.
@@ -146,24 +135,24 @@ def drift(
     t = np.arange(lines) / rate_hz
     swell = generator(seed, f"light sheet {name} swell")
     phases = swell.uniform(0, 2 * np.pi, 3)
-    periods_s = period_s * np.array([1.0, 1.37, 0.81])
+    periods_s = 1.8 * np.array([1.0, 1.37, 0.81])
     wave = np.sin(2 * np.pi * t / periods_s[:, None] + phases[:, None])
     course = generator(seed, f"light sheet {name} course")
     heading = gauss_markov(course, lines, 1 / rate_hz, float(np.deg2rad(0.5)), 4.0)
     aside = gauss_markov(course, lines, 1 / rate_hz, 2.0, 6.0)
-    pitch, roll = np.deg2rad(pitch_deg) * wave[0], np.deg2rad(roll_deg) * wave[1]
+    pitch, roll = np.deg2rad(0.4) * wave[0], np.deg2rad(0.6) * wave[1]
     turns = [rotation_opk(float(p), float(r), float(h)) for p, r, h in zip(pitch, roll, heading, strict=True)]
     R = np.stack(turns) @ rotation_opk(0.0, 0.0, -kappa_rad)
-    at = start_obj_mm + np.stack([aside, speed_mmps * t, heave_mm * wave[2]], axis=1)
+    at = start_obj_mm + np.stack([aside, speed_mmps * t, 4.0 * wave[2]], axis=1)
     return SensorPath(R_obj_lcs=R, shift_obj_mm=at - np.einsum("nij,j->ni", R, middle_lcs_mm), t_s=t)
 
 
-def build_panel(seed: int, *, centre_lcs_mm: tuple[float, float, float] = (0.0, -80.0, 260.0)) -> Panel:
+def build_panel(seed: int) -> Panel:
     """A panel of 5 x 6 marks that faces +y of lcs, every second column 60 mm in front of the others."""
     columns, rows = np.meshgrid(np.arange(6), np.arange(5))
     x, z = 60.0 * (columns.ravel() - 2.5), 50.0 * (rows.ravel() - 2.0)
     y = np.where(columns.ravel() % 2 == 0, 0.0, 60.0)
-    true = np.stack([x, y, z], axis=1) + np.asarray(centre_lcs_mm)
+    true = np.stack([x, y, z], axis=1) + np.array([0.0, -80.0, 260.0])
     error = generator(seed, "light sheet panel marks").standard_normal(true.shape)
     return Panel(
         marker=np.arange(1, len(true) + 1), xyz_lcs_mm=true, measured_lcs_mm=true + SIGMA_MARK_MM * error

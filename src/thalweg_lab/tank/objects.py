@@ -49,6 +49,8 @@ HEIGHT_MM: Final = 80.0
 _PALETTE: Final = np.array([[0.42, 0.36, 0.28], [0.34, 0.25, 0.17], [0.40, 0.33, 0.25], [0.30, 0.22, 0.15]])
 """Sand, hull, deck houses, spars."""
 
+ROUGHNESS_MM: Final = 0.15
+"""Standard deviation of the fine relief of hull and ground."""
 SIGMA_MARK_MM: Final = 0.03
 SIGMA_BAR_MM: Final = 0.01
 SIGMA_PX: Final = 0.08
@@ -96,18 +98,11 @@ class GridPattern:
             raise GeometryError(f"levels {self.levels_mm} mm", expected="two or three, from 0 downwards")
 
     @classmethod
-    def regular(
-        cls,
-        *,
-        count: int = 11,
-        pitch_mm: float = 10.0,
-        gap_mm: float = 3.5,
-        levels_mm: tuple[float, ...] = (0.0, -90.0),
-    ) -> "GridPattern":
+    def regular(cls, *, levels_mm: tuple[float, ...] = (0.0, -90.0)) -> "GridPattern":
         """Equal gaps; the middle one is half as wide again, so that a shift by one gap shows."""
-        centre = pitch_mm * (np.arange(count) - (count - 1) / 2)
-        width = np.full(count, gap_mm)
-        width[count // 2] *= 1.5
+        centre = 10.0 * (np.arange(11) - 5.0)
+        width = np.full(11, 3.5)
+        width[5] *= 1.5
         gaps = np.stack([centre - width / 2, centre + width / 2], axis=1)
         return cls(gaps_mm=gaps, levels_mm=levels_mm)
 
@@ -132,12 +127,10 @@ class Board:
     bar_mm: ArrayF
 
 
-def panel(
-    *, size_mm: float = 420.0, albedo: tuple[float, float, float] = GREY, markers: bool = False
-) -> Surface:
+def panel(*, albedo: tuple[float, float, float] = GREY, markers: bool = False) -> Surface:
     """A plane panel about its origin, if wished with a grid of black round marks of 3 mm radius."""
     pieces = Pieces()
-    half = size_mm / 2
+    half = 210.0
     pieces.add(rectangle((-half, half), (-half, half), 0.0), 0)
     spots = None
     if markers:
@@ -157,7 +150,7 @@ def stepped_markers_mm() -> ArrayF:
     return np.array(out)
 
 
-def stepped_object(*, markers: bool = True, marker_radius_mm: float = 4.0) -> Surface:
+def stepped_object(*, markers: bool = True) -> Surface:
     """The black stepped object on a sandy ground; its origin is the middle at height 0."""
     length, width, height = STEP_SIZE_MM
     ground = STEP_HEIGHTS_MM[-1] - height
@@ -170,7 +163,7 @@ def stepped_object(*, markers: bool = True, marker_radius_mm: float = 4.0) -> Su
     spots = None
     if markers:
         centres = stepped_markers_mm()
-        spots = Spots(centre_mm=centres, radius_mm=np.full(len(centres), marker_radius_mm), albedo=WHITE)
+        spots = Spots(centre_mm=centres, radius_mm=np.full(len(centres), 4.0), albedo=WHITE)
     return pieces.surface(np.array([BLACK, SAND]), "stepped_object", spots=spots)
 
 
@@ -196,30 +189,20 @@ def grid_object(pattern: GridPattern) -> Surface:
     return pieces.surface(np.array([GREY, GREY]), "calibration_grid")
 
 
-def wreck(
-    seed: int,
-    *,
-    spars: bool = True,
-    ground: bool = True,
-    roughness_mm: float = 0.15,
-    step_mm: float = 0.8,
-    name: str = "wreck",
-) -> Surface:
-    """A wreck; another seed or name gives another one of the same kind.
+def wreck(seed: int, *, spars: bool = True, ground: bool = True, step_mm: float = 0.8) -> Surface:
+    """A wreck; another seed gives another one of the same kind.
 
     Parameters
     ----------
-    seed : of the campaign; the streams are ``light sheet <name> ...``.
+    seed : of the campaign; the streams are ``light sheet wreck ...``.
     spars : with masts and a lying spar, thin parts that interrupt lines.
     ground : with the sandy ground around.
-    roughness_mm : standard deviation of the fine relief of hull and ground.
     step_mm : width of the mesh of hull and ground.
-    name : of the surface and of its random streams.
     """
-    rng = generator(seed, f"light sheet {name} shape")
+    rng = generator(seed, "light sheet wreck shape")
     pieces = Pieces()
     hull_height = rng.uniform(40.0, 50.0)
-    pieces.add(_hull(seed, name, rng, hull_height, roughness_mm, step_mm), 1)
+    pieces.add(_hull(seed, rng, hull_height, step_mm), 1)
     for at, size in ((0.28, 0.16), (-0.36, 0.11)):
         x, y = at * LENGTH_MM, rng.uniform(-6.0, 6.0)
         half = np.array([size * LENGTH_MM / 2, rng.uniform(8.0, 15.0)])
@@ -241,18 +224,18 @@ def wreck(
         )
         pieces.add(rod(start + aside, end + aside, 1.6), 3)
     if ground:
-        pieces.add(_ground(seed, name, roughness_mm, step_mm), 0)
+        pieces.add(_ground(seed, step_mm), 0)
     texture = Texture.draw(
-        generator(seed, f"light sheet {name} texture"), strength=0.12, lengths_mm=(3.0, 40.0)
+        generator(seed, "light sheet wreck texture"), strength=0.12, lengths_mm=(3.0, 40.0)
     )
-    return pieces.surface(_PALETTE, name, texture=texture)
+    return pieces.surface(_PALETTE, "wreck", texture=texture)
 
 
-def build_board(sensor: Sensor, seed: int, *, depths_mm: tuple[float, float] = (60.0, 150.0)) -> Board:
+def build_board(sensor: Sensor, seed: int) -> Board:
     """Marks on two levels of the field of view: 6 x 5 on each; two bars lie on the lower one."""
     t = sensor.window.thickness_mm
     places = []
-    for depth in depths_mm:
+    for depth in (60.0, 150.0):
         reach = 40.0 + 0.35 * depth
         X, Y = np.meshgrid(np.linspace(-reach, reach, 6), np.linspace(-130.0, -40.0, 5))
         places.append(np.stack([X.ravel(), Y.ravel(), np.full(X.size, -t - depth)], axis=1))
@@ -278,19 +261,15 @@ def dry(sensor: Sensor) -> Sensor:
     return replace(sensor, window=replace(sensor.window, thickness_mm=0.0, n_glass=n, n_water=n))
 
 
-def observe_board(
-    sensor: Sensor, board: Board, seed: int, *, name: str, sigma_px: float = SIGMA_PX
-) -> tuple[ArrayI, ArrayF]:
+def observe_board(sensor: Sensor, board: Board, seed: int, *, name: str) -> tuple[ArrayI, ArrayF]:
     """Markers (n,) in the picture and their image coordinates (n, 2) with noise."""
     xy = see(sensor, board.xyz_lcs_mm).xy_px
     noise = generator(seed, f"light sheet {name} marks").standard_normal(xy.shape)
     inside = sensor.camera.inside(xy)
-    return board.marker[inside], (xy + sigma_px * noise)[inside]
+    return board.marker[inside], (xy + SIGMA_PX * noise)[inside]
 
 
-def _hull(
-    seed: int, name: str, rng: np.random.Generator, height_mm: float, roughness_mm: float, step_mm: float
-) -> tuple[ArrayF, ArrayI]:
+def _hull(seed: int, rng: np.random.Generator, height_mm: float, step_mm: float) -> tuple[ArrayF, ArrayI]:
     """Half a barrel with pointed ends, planks, and holes that light passes."""
     n_along, n_around = int(LENGTH_MM / step_mm), int(2.2 * WIDTH_MM / step_mm)
     t = np.linspace(-1.0, 1.0, n_along)
@@ -300,8 +279,8 @@ def _hull(
     rough = noise_relief(
         t * LENGTH_MM / 2,
         around * WIDTH_MM / 2,
-        generator(seed, f"light sheet {name} roughness"),
-        amplitude_mm=roughness_mm,
+        generator(seed, "light sheet wreck roughness"),
+        amplitude_mm=ROUGHNESS_MM,
         lengths_mm=(max(2.5, 2.5 * step_mm), 12.0),
     )
     size = 1.0 + (planks[:, None] + rough) / (WIDTH_MM / 2)
@@ -319,10 +298,10 @@ def _hull(
     return vertices, faces[keep]
 
 
-def _ground(seed: int, name: str, roughness_mm: float, step_mm: float) -> tuple[ArrayF, ArrayI]:
+def _ground(seed: int, step_mm: float) -> tuple[ArrayF, ArrayI]:
     x = np.arange(-200.0, 200.0 + step_mm / 2, step_mm)
     y = np.arange(-160.0, 160.0 + step_mm / 2, step_mm)
-    rng = generator(seed, f"light sheet {name} ground")
+    rng = generator(seed, "light sheet wreck ground")
     z = noise_relief(x, y, rng, amplitude_mm=1.2, lengths_mm=(50.0, 250.0))
-    z += noise_relief(x, y, rng, amplitude_mm=roughness_mm, lengths_mm=(max(2.5, 2.5 * step_mm), 12.0))
+    z += noise_relief(x, y, rng, amplitude_mm=ROUGHNESS_MM, lengths_mm=(max(2.5, 2.5 * step_mm), 12.0))
     return relief(x, y, np.minimum(z, 3.0))

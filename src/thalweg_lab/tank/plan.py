@@ -30,38 +30,25 @@ def ripples(x_mm: ArrayF, y_mm: ArrayF, *, length_mm: float, height_mm: float, p
     return np.asarray(0.5 * height_mm * (np.sin(angle) + 0.25 * np.sin(2 * angle)))
 
 
-def river_bed(
-    seed: int,
-    *,
-    length_mm: float = 600.0,
-    width_mm: float = 300.0,
-    step_mm: float = 1.0,
-    ripple_mm: float = 8.0,
-    roughness_mm: float = 0.15,
-    stones: int = 25,
-    name: str = "river bed",
-) -> Surface:
+def river_bed(seed: int, *, length_mm: float = 600.0, step_mm: float = 1.0, stones: int = 25) -> Surface:
     """A strip along y, from 0 to ``length_mm``, about x = 0.
 
     Parameters
     ----------
-    seed : of the campaign; the streams are ``light sheet <name> ...``, one for each part of the relief.
-    length_mm, width_mm, step_mm : of the grid.
-    ripple_mm : height of the ripples from trough to crest.
-    roughness_mm : standard deviation of the fine relief, 2.5 to 12 mm long.
-    stones : number of stones, 5 to 30 mm in radius.
-    name : of the surface and of its random streams.
+    seed : of the campaign; the streams are ``light sheet river bed ...``, one for each part of the relief.
+    length_mm, step_mm : of the grid.
+    stones : number of stones, 5 to 30 mm in radius, over ripples of 8 mm and a fine relief of 0.15 mm.
     """
-    x = np.arange(-width_mm / 2, width_mm / 2 + step_mm / 2, step_mm)
+    x = np.arange(-190.0, 190.0 + step_mm / 2, step_mm)
     y = np.arange(0.0, length_mm + step_mm / 2, step_mm)
-    shape = generator(seed, f"light sheet {name} ripples")
-    rough = generator(seed, f"light sheet {name} roughness")
-    z = ripples(x, y, length_mm=shape.uniform(55, 75), height_mm=ripple_mm, phase=shape.uniform(0, 6.28))
-    z = z + noise_relief(x, y, shape, amplitude_mm=0.12 * ripple_mm, lengths_mm=(60.0, 300.0))
-    z += noise_relief(x, y, rough, amplitude_mm=roughness_mm, lengths_mm=(max(2.5, 2.5 * step_mm), 12.0))
+    shape = generator(seed, "light sheet river bed ripples")
+    rough = generator(seed, "light sheet river bed roughness")
+    z = ripples(x, y, length_mm=shape.uniform(55, 75), height_mm=8.0, phase=shape.uniform(0, 6.28))
+    z = z + noise_relief(x, y, shape, amplitude_mm=0.12 * 8.0, lengths_mm=(60.0, 300.0))
+    z += noise_relief(x, y, rough, amplitude_mm=0.15, lengths_mm=(max(2.5, 2.5 * step_mm), 12.0))
     pieces = Pieces()
     pieces.add(relief(x, y, z), 0)
-    rng = generator(seed, f"light sheet {name} stones")
+    rng = generator(seed, "light sheet river bed stones")
     for _ in range(stones):
         at = np.array([rng.uniform(x[0], x[-1]), rng.uniform(y[0], y[-1])])
         size = float(np.exp(rng.uniform(np.log(5.0), np.log(30.0))))
@@ -70,9 +57,9 @@ def river_bed(
         centre = np.array([*at, ground + radii[2] * rng.uniform(-0.1, 0.5)])
         pieces.add(pebble(centre, radii, rng), int(rng.integers(1, 4)))
     texture = Texture.draw(
-        generator(seed, f"light sheet {name} texture"), strength=0.25, lengths_mm=(2.0, 40.0)
+        generator(seed, "light sheet river bed texture"), strength=0.25, lengths_mm=(2.0, 40.0)
     )
-    return pieces.surface(PALETTE, name, texture=texture)
+    return pieces.surface(PALETTE, "river bed", texture=texture)
 
 
 # ---------------------------------------------------------------- plan
@@ -139,8 +126,6 @@ def calibration_plan(
     *,
     positions: int = 3,
     depths_mm: Sequence[float] = (60.0, 150.0),
-    spread_mm: tuple[float, float] = (6.0, 12.0),
-    pattern: GridPattern | None = None,
     fans: tuple[Fan, ...] = (),
 ) -> Plan:
     """The grid under the sensor at several places; the levels are parallel to the window.
@@ -151,17 +136,14 @@ def calibration_plan(
     seed : of the campaign; the stream is ``light sheet calibration places``.
     positions : number of images.
     depths_mm : of the levels at the first position, two or three.
-    spread_mm : how far the object is moved along the line and in depth from position to position, standard
-        deviations; the first one is not moved.
-    pattern : None: 11 regular gaps.
     fans : lit sheets, empty for that of the sensor.
     """
     levels = tuple(float(depths_mm[0] - d) for d in depths_mm)
-    used = pattern or GridPattern.regular(levels_mm=levels)
+    used = GridPattern.regular(levels_mm=levels)
     rng = generator(seed, "light sheet calibration places")
     moves = rng.standard_normal((positions, 3))
     moves[0] = 0.0
-    shift, depth = spread_mm
+    shift, depth = 6.0, 12.0
     poses = []
     for k in range(positions):
         d = float(depths_mm[0] + np.clip(depth * moves[k, 0], -0.3 * depths_mm[0], 2 * depth))
@@ -186,14 +168,10 @@ def calibration_plan(
 
 
 def panel_plan(
-    sensor: Sensor,
-    *,
-    depths_mm: Sequence[float] = PANEL_DEPTHS_MM,
-    fans: tuple[Fan, ...] = (),
-    tilt_deg: float = 0.0,
+    sensor: Sensor, *, depths_mm: Sequence[float] = PANEL_DEPTHS_MM, fans: tuple[Fan, ...] = ()
 ) -> Plan:
-    """A plane panel at several depths, parallel to the window or tilted about the line's direction."""
-    R = sensor.window.R_lcs_window @ rotation_opk(float(np.deg2rad(tilt_deg)), 0.0, 0.0)
+    """A plane panel at several depths, parallel to the window."""
+    R = sensor.window.R_lcs_window @ rotation_opk(0.0, 0.0, 0.0)
     path = _path([(R, _on_line(sensor, d)) for d in depths_mm])
     return Plan(
         name="panels",
@@ -213,7 +191,6 @@ def scan_plan(
     lines: int,
     step_mm: float,
     depth_mm: float = 165.0,
-    height_mm: float = 20.0,
     fans: tuple[Fan, ...] = (),
 ) -> Plan:
     """A scan on a rail: the line crosses the object from one side to the other.
@@ -225,8 +202,6 @@ def scan_plan(
     surface : the object; it is scanned about its origin.
     lines, step_mm : 7 to 70 lines, 2 to 5 mm apart (P4 7.3).
     depth_mm : of the object's origin.
-    height_mm : height above the origin at which the line crosses the object's middle in the middle of the
-        way.
     fans : lit sheets, empty for that of the sensor.
     """
     name = f"scan {surface.name}"
@@ -234,8 +209,8 @@ def scan_plan(
         seed,
         lines=lines,
         step_mm=step_mm,
-        middle_lcs_mm=_on_line(sensor, depth_mm - height_mm),
-        middle_obj_mm=np.array([0.0, 0.0, height_mm]),
+        middle_lcs_mm=_on_line(sensor, depth_mm - 20.0),
+        middle_obj_mm=np.array([0.0, 0.0, 20.0]),
         name=name,
         kappa_rad=_line_angle(sensor),
     )
@@ -249,7 +224,6 @@ def strip_plan(
     *,
     lines: int = 60,
     speed_mmps: float = 60.0,
-    depth_mm: float = 130.0,
     path: SensorPath | None = None,
     step_mm: float = 1.0,
 ) -> Plan:
@@ -259,7 +233,7 @@ def strip_plan(
     ----------
     sensor : the true one.
     seed : of the campaign.
-    lines, speed_mmps, depth_mm : number of images, speed along y, mean depth of the bed below the window.
+    lines, speed_mmps : number of images, speed along y, mean depth of the bed below the window.
     path : poses from elsewhere, such as a boat's trajectory in a frame whose origin lies on the bed; None: a
         drift of its own.
     step_mm : width of the mesh.
@@ -270,15 +244,13 @@ def strip_plan(
             lines=lines,
             rate_hz=STRIP_HZ,
             speed_mmps=speed_mmps,
-            middle_lcs_mm=_on_line(sensor, depth_mm),
+            middle_lcs_mm=_on_line(sensor, 130.0),
             start_obj_mm=np.array([0.0, 60.0, 0.0]),
             name="strip",
             kappa_rad=_line_angle(sensor),
         )
     way = float(path.shift_obj_mm[-1, 1] - path.shift_obj_mm[0, 1])
-    bed = river_bed(
-        seed, length_mm=abs(way) + 200.0, width_mm=380.0, step_mm=step_mm, stones=round(8 + 0.04 * abs(way))
-    )
+    bed = river_bed(seed, length_mm=abs(way) + 200.0, step_mm=step_mm, stones=round(8 + 0.04 * abs(way)))
     return Plan(name="strip", surfaces={bed.name: bed}, seen=(bed.name,) * len(path), path=path)
 
 

@@ -179,7 +179,6 @@ def trigger(
     *,
     name: str,
     rate_hz: float = 10.0,
-    clock_offset_s: float = 3.417,
     jitter_s: float = 0.002,
     lost: int = 0,
 ) -> Trigger:
@@ -196,7 +195,6 @@ def trigger(
     start_gps_s : adjusted standard GPS time of the start.
     name : of the series.
     rate_hz : of the divider.
-    clock_offset_s : what the camera's clock is ahead of UTC.
     jitter_s : standard deviation of its stamps.
     lost : number of pulses that were not recorded, never at an end.
     """
@@ -205,7 +203,7 @@ def trigger(
     planned = np.asarray(t_s) + np.where(np.arange(n) >= (n + 2) // 3, rest, 0.0)
     at = np.ceil(start_gps_s) + np.rint(planned * rate_hz) / rate_hz
     noise = generator(seed, f"light sheet {name} clock").standard_normal(n)
-    shown = unix_from_gps(at) + clock_offset_s + jitter_s * noise
+    shown = unix_from_gps(at) + 3.417 + jitter_s * noise
     kept = np.ones(n, dtype=np.bool_)
     if lost and n > lost + 2:
         rng = generator(seed, f"light sheet {name} lost pulses")
@@ -243,9 +241,7 @@ def write_pulses(path: Path, pulse_gps_s: ArrayF) -> None:
     path.write_text("t_gps_s\n" + "".join(f"{t:.6f}\n" for t in pulse_gps_s))
 
 
-def true_lines(
-    sensor: Sensor, posed: Posed, fans: tuple[Fan, ...], file: str, *, beams: int | None = None
-) -> pd.DataFrame:
+def true_lines(sensor: Sensor, posed: Posed, fans: tuple[Fan, ...], file: str) -> pd.DataFrame:
     """The exact line of one image, sub-beams that meet the surface only; see `LINE_TRUTH`.
 
     Parameters
@@ -253,10 +249,9 @@ def true_lines(
     sensor, posed : what the image was rendered from.
     fans : lit sheets, empty for that of the sensor.
     file : name of the image.
-    beams : sub-beams of each sheet, None: one a pixel of the larger side.
     """
     parts = []
-    n = beams or max(sensor.camera.size_px)
+    n = max(sensor.camera.size_px)
     for number, fan in enumerate(fans or (sensor.sheet,)):
         a = fan.half_angle_rad * (2.0 * (np.arange(n) + 0.5) / n - 1.0)
         line = line_on(sensor, posed, fan, a)
@@ -305,12 +300,10 @@ def write_poses(
     write_table(path, table, POSE_TRUTH, {"source": "digital twin, truth"})
 
 
-def write_surface(path: Path, surface: Surface, frame: LocalFrame, *, sigma_mm: float = 0.0) -> None:
+def write_surface(path: Path, surface: Surface, frame: LocalFrame) -> None:
     """Write the mesh of an object in its own frame, metres, PLY."""
     vertices = surface.vertices_mm * 1e-3
-    mesh = TriangleMesh(
-        vertices_m=vertices, faces=surface.faces, sigma_m=np.full(len(vertices), sigma_mm * 1e-3)
-    )
+    mesh = TriangleMesh(vertices_m=vertices, faces=surface.faces, sigma_m=np.zeros(len(vertices)))
     write_mesh(path, mesh, frame, {"object": surface.name, "note": "frame of the object; digital twin"})
 
 

@@ -275,9 +275,7 @@ def divided(vertices_mm: ArrayF, faces: ArrayI, longest_mm: float) -> tuple[Arra
     return v, np.concatenate(done)
 
 
-def picked_pairs(
-    mesh: TriangleMesh, tripod: Tripod, seed: int, name: str, *, n: int = 5, sigma_mm: float = PICK_SIGMA_MM
-) -> pd.DataFrame:
+def picked_pairs(mesh: TriangleMesh, tripod: Tripod, seed: int, name: str, *, n: int = 5) -> pd.DataFrame:
     """Places that an operator picked in the scan (frame of the standing camera) and in the mesh, metres.
 
     Parameters
@@ -286,7 +284,6 @@ def picked_pairs(
     tripod : the standing camera, whose frame is that of the scan.
     seed, name : of the campaign and of the scan; the stream is ``light sheet <name> picks``.
     n : number of pairs.
-    sigma_mm : of a picked place, each axis.
     """
     rng = generator(seed, f"light sheet {name} picks")
     v = mesh.vertices_m
@@ -299,7 +296,7 @@ def picked_pairs(
         places.append(some[int(np.argmax(away))])
     on_mesh = np.array(places)
     in_scan = on_mesh @ tripod.R_ccs_obj.T + tripod.shift_ccs_mm * 1e-3
-    in_scan = in_scan + sigma_mm * 1e-3 * rng.standard_normal(in_scan.shape)
+    in_scan = in_scan + PICK_SIGMA_MM * 1e-3 * rng.standard_normal(in_scan.shape)
     return pd.DataFrame(
         {
             f"{where}_{a}_m": xyz[:, i]

@@ -223,14 +223,7 @@ class Pieces:
         )
 
 
-def at_depth(
-    surface: Surface,
-    window_mm: float,
-    depth_mm: float,
-    *,
-    xy_mm: tuple[float, float] = (0.0, 0.0),
-    **turn: float,
-) -> Posed:
+def at_depth(surface: Surface, window_mm: float, depth_mm: float, **turn: float) -> Posed:
     """A surface whose origin lies at a depth below the outer face of an untilted window.
 
     Parameters
@@ -238,7 +231,6 @@ def at_depth(
     surface : with Z up in its own frame.
     window_mm : thickness of the window.
     depth_mm : of the object's origin.
-    xy_mm : its place along the window.
     **turn : ``omega_deg``, ``phi_deg``, ``kappa_deg`` of ``R_lcs_obj = R_x R_y R_z``.
     """
     angles = [np.deg2rad(turn.pop(f"{name}_deg", 0.0)) for name in ("omega", "phi", "kappa")]
@@ -247,7 +239,7 @@ def at_depth(
     return Posed(
         surface=surface,
         R_lcs_obj=rotation_opk(*angles),
-        shift_lcs_mm=np.array([xy_mm[0], xy_mm[1], -window_mm - depth_mm]),
+        shift_lcs_mm=np.array([0.0, 0.0, -window_mm - depth_mm]),
     )
 
 
@@ -280,13 +272,14 @@ def box(low_mm: ArrayF, high_mm: ArrayF) -> tuple[ArrayF, ArrayI]:
     return vertices, np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))])
 
 
-def rod(start_mm: ArrayF, end_mm: ArrayF, radius_mm: float, *, sides: int = 24) -> tuple[ArrayF, ArrayI]:
+def rod(start_mm: ArrayF, end_mm: ArrayF, radius_mm: float) -> tuple[ArrayF, ArrayI]:
     """A closed cylinder between two points (3,)."""
     axis = (end_mm - start_mm) / np.linalg.norm(end_mm - start_mm)
     other = np.eye(3)[int(np.argmin(np.abs(axis)))]
     u = np.cross(axis, other)
     u /= np.linalg.norm(u)
     v = np.cross(axis, u)
+    sides = 24
     angle = 2 * np.pi * np.arange(sides) / sides
     ring = radius_mm * (np.cos(angle)[:, None] * u + np.sin(angle)[:, None] * v)
     vertices = np.concatenate([start_mm + ring, end_mm + ring, [start_mm, end_mm]])
@@ -302,9 +295,7 @@ def rod(start_mm: ArrayF, end_mm: ArrayF, radius_mm: float, *, sides: int = 24) 
     return vertices, faces
 
 
-def pebble(
-    centre_mm: ArrayF, radii_mm: ArrayF, rng: np.random.Generator, *, bumps: float = 0.06
-) -> tuple[ArrayF, ArrayI]:
+def pebble(centre_mm: ArrayF, radii_mm: ArrayF, rng: np.random.Generator) -> tuple[ArrayF, ArrayI]:
     """A rounded stone: an ellipsoid with radii (3,), turned about the vertical, with smooth bumps."""
     n = 28
     polar = np.linspace(1e-3, np.pi - 1e-3, n)
@@ -312,7 +303,7 @@ def pebble(
     T, P = np.meshgrid(polar, around, indexing="ij")
     unit = np.stack([np.sin(T) * np.cos(P), np.sin(T) * np.sin(P), np.cos(T)], axis=2)
     waves, phases = rng.standard_normal((5, 3)) * 2.5, rng.uniform(0, 2 * np.pi, 5)
-    size = 1.0 + bumps * np.cos(unit @ waves.T + phases).sum(axis=2)
+    size = 1.0 + 0.06 * np.cos(unit @ waves.T + phases).sum(axis=2)
     turn = rng.uniform(0, 2 * np.pi)
     c, s = np.cos(turn), np.sin(turn)
     local = unit * size[:, :, None] * radii_mm
