@@ -39,17 +39,7 @@ from thalweg_lab.random_numbers import generator
 from thalweg_lab.settings import TwinCamera, TwinConfig, TwinField
 from thalweg_lab.voyage import standing, start_gps_s, static_seed, write_effects
 from thalweg_lab.writers import start_us
-from thalweg_lab.yard import (
-    ANTENNA,
-    FLAT,
-    Field,
-    FieldScene,
-    build_field,
-    field_of,
-    field_scene,
-    people,
-    recorded_scene,
-)
+from thalweg_lab.yard import ANTENNA, FLAT, Field, build_field, field_of, recorded
 
 KIND: Final = "thalweg twin field"
 FIELD_POSES: Final = table_kind(
@@ -79,7 +69,7 @@ _STATIC_S: Final = 1.2
 
 def simulate_field_scene(config: TwinConfig, seed: int, out_scene: Path) -> None:
     """Write the field with the boat's recording time and people as the scene of the dynamic run."""
-    recorded_scene(config, seed, "run").scene.write(out_scene)
+    recorded(config, seed, "run")[1].scene.write(out_scene)
 
 
 def simulate_field(
@@ -93,8 +83,7 @@ def simulate_field(
     seed : seed of the campaign.
     frame : the world frame.
     out_field : ``field.yaml``: nominal cones, certificates of the scale bars, RTK positions of the targets.
-    out_truth : JSON: true cones, saddles, bars and targets, while the reference was photographed and while
-        the boat was there.
+    out_truth : JSON: true cones, saddles, bars and targets.
     out_poses : true poses of the static positions, table kind ``twin_field_poses``.
 
     Raises
@@ -107,8 +96,7 @@ def simulate_field(
         "kind": KIND,
         "version": 1,
         "frame": "wcs, metres; axes from the apex into the cone",
-        "reference": _facts(field),
-        "boat": _facts(build_field(config, seed, when="boat")),
+        **_facts(field),
         "effects": field.config.effects.model_dump(mode="json"),
     }
     _write_text(out_truth, json.dumps(truth, indent=1) + "\n")
@@ -286,7 +274,7 @@ def simulate_positions(
                 motion.config,
                 static_seed(seed, number),
                 frame,
-                recorded_scene(config, seed, f"position {number}").scene,
+                recorded(config, seed, f"position {number}")[1].scene,
                 path,
                 R_ics_scs=R_ics_scs,
                 lever_ics_scs_m=lever_ics_scs_m,
@@ -349,7 +337,7 @@ def static_scan(
     near_cones_m : only beams that pass the sphere about a cone within this distance are cast; None: all.
     """
     motion = standing(config, number)
-    field, scene = _recorded(config, seed, f"position {number}")
+    field, scene = recorded(config, seed, f"position {number}")
     duration_s = motion.config.duration_s
     if revolutions is not None:
         duration_s = revolutions / config.lidar.rotation_hz
@@ -390,11 +378,6 @@ def scan(sensor: LidarSensor, field: Field, *, duration_s: float, near_cones_m: 
         cone=field.cone_of(surface),
         kind=kind,
     )
-
-
-def _recorded(config: TwinConfig, seed: int, recording: str) -> tuple[Field, FieldScene]:
-    field = build_field(config, seed, when="boat")
-    return field, field_scene(field, people_wcs_m=people(config, seed, recording, field))
 
 
 def _points(sensor: LidarSensor, shots: Shots) -> tuple[Any, ...]:

@@ -20,7 +20,6 @@ from .survey import (
     TwinUav as TwinUav,
 )
 from .yard import (
-    CONES as CONES,
     Chip as Chip,
     Laser as Laser,
     SheetImage as SheetImage,

@@ -6,9 +6,9 @@ targets. The boat stands in it three times, mostly turned, and is then moved aro
 How an image comes about (laser, water, lens, chip) has a section each, and each effect a switch.
 """
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from thalweg.settings.sections import Angle, NonNegative, Positive, Section, Share, Sigma3
 
@@ -17,12 +17,6 @@ from thalweg.settings.sections import Angle, NonNegative, Positive, Section, Sha
 
 Tilt = Annotated[float, Field(ge=-30, le=30, allow_inf_nan=False)]
 """A small angle in degrees."""
-
-Marker = Annotated[int, Field(ge=0, le=249)]
-"""Id of a printed marker."""
-
-CONES = ("C1", "C2", "C3", "C4", "C5", "C6", "C7", "C8")
-"""Names of the cones: three to the west, three to the east, and two upright ones north and south."""
 
 
 class StaticPosition(Section):
@@ -67,23 +61,6 @@ class TwinFieldEffects(Section):
         le=20,
         description="People who stand near the cones in lidar recordings, other places each time",
     )
-    toppled_cone: str | None = Field(
-        default=None, description="Name of a cone that was knocked over after the reference images"
-    )
-    toppled_by_deg: Tilt = Field(default=8.0, description="Angle by which it leans then, degrees")
-    moved_marker: Marker | None = Field(
-        default=None,
-        description="Marker that was moved after the reference images; one that the boat can see",
-    )
-    moved_by_m: float = Field(
-        default=0.02, ge=0, le=1, description="Distance by which it was moved along its board or cone, metres"
-    )
-
-    @model_validator(mode="after")
-    def _check_names(self) -> Self:
-        if self.toppled_cone not in (None, *CONES):
-            raise ValueError(f"toppled_cone is '{self.toppled_cone}', but must be one of {', '.join(CONES)}")
-        return self
 
 
 class TwinField(Section):

@@ -14,7 +14,7 @@ from .scene import (
     boat_mesh as boat_mesh,
     field_scene as field_scene,
     people as people,
-    recorded_scene as recorded_scene,
+    recorded as recorded,
     sensor_mesh as sensor_mesh,
     with_boat as with_boat,
     yard_of as yard_of,

@@ -7,8 +7,8 @@ look.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Final, Literal, Self
+from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,9 +17,8 @@ from scipy.spatial.transform import Rotation
 from thalweg.calibration import MARGIN_MODULES, SADDLES_MODULES, SHEET_MODULES
 from thalweg.core import ArrayB, ArrayF, ArrayI, ConfigError, Rigid
 from thalweg_lab.random_numbers import generator
-from thalweg_lab.settings import CONES, TwinConfig, TwinField
+from thalweg_lab.settings import TwinConfig, TwinField
 
-When = Literal["reference", "boat"]
 """Reference images come first, then the boat; some effects change the field in between."""
 _PLACES: Final = {
     # bearing from north and distance of the middle of the cone, its height, axis off the line to the middle
@@ -35,8 +34,6 @@ _PLACES: Final = {
 _RINGS: Final = ((0.36, (-99, -33, 33, 99)), (0.66, (-66, 0, 66, 132)))
 """Slant distance of two rings of sheets and their azimuths from the side toward the boat, degrees."""
 _EYE_WCS_M: Final = np.array([0.0, 0.0, 0.8])
-_LEAST_FACING: Final = 0.2
-"""Cosine of the angle between the normal of a sheet and the way to the boat's camera amid the yard."""
 
 TARGETS: Final = tuple(range(64, 70))
 BOARDS: Final = (*range(70, 80), *range(86, 98), *range(112, 130))
@@ -213,15 +210,6 @@ class FieldCone:
         turn = (np.mod(turn + np.pi, 2 * np.pi) - np.pi) * sine
         return np.stack([slant * np.sin(turn), slant * np.cos(turn) - place[0]], axis=1)
 
-    def moved(self, R: ArrayF, about_wcs_m: ArrayF) -> Self:
-        """The cone turned about a point."""
-        return replace(
-            self,
-            apex_wcs_m=about_wcs_m + R @ (self.apex_wcs_m - about_wcs_m),
-            axis_wcs=R @ self.axis_wcs,
-            zero_wcs=R @ self.zero_wcs,
-        )
-
     def mesh(self) -> tuple[ArrayF, ArrayI]:
         """Vertices (2 SIDES + 2, 3) in wcs and triangles (4 SIDES, 3), outward, closed at tip and base."""
         turn = 2 * np.pi * np.arange(SIDES) / SIDES
@@ -350,14 +338,13 @@ class Field:
         return out
 
 
-def build_field(config: TwinConfig, seed: int, *, when: When = "reference") -> Field:
+def build_field(config: TwinConfig, seed: int) -> Field:
     """The field of a campaign; the same seed gives the same field to the last bit.
 
     Parameters
     ----------
     config : section ``twin``.
     seed : seed of the campaign.
-    when : ``reference`` while the reference is photographed, ``boat`` while the boat is there.
 
     Raises
     ------
@@ -366,7 +353,7 @@ def build_field(config: TwinConfig, seed: int, *, when: When = "reference") -> F
     field = field_of(config)
     rng = generator(seed, "field cones")
     cones, sheets = [], []
-    for number, name in enumerate(CONES):
+    for number, name in enumerate(_PLACES):
         cone = _cone(field, name, number, rng)
         cones.append(cone)
         sheets += _sheets_on(field, cone, rng)
@@ -374,7 +361,7 @@ def build_field(config: TwinConfig, seed: int, *, when: When = "reference") -> F
     flat_boards, flat_sheets = boards(field, cones, bar_boards, generator(seed, "field boards"))
     sheets += bar_sheets + flat_sheets + ground_sheets(field, generator(seed, "field ground"))
     targets = tuple(Target(name=f"T{i + 1}", marker=64 + i) for i in range(field.n_targets))
-    made = Field(
+    return Field(
         config=field,
         cones=tuple(cones),
         sheets=tuple(sheets),
@@ -382,7 +369,6 @@ def build_field(config: TwinConfig, seed: int, *, when: When = "reference") -> F
         bars=tuple(all_bars),
         targets=targets,
     )
-    return _changed(made) if when == "boat" else made
 
 
 def field_of(config: TwinConfig) -> TwinField:
@@ -465,56 +451,6 @@ def _sheets_on(field: TwinField, cone: FieldCone, rng: np.random.Generator) -> l
         for slant, azimuths in _RINGS
         for azimuth in azimuths
     ]
-
-
-def _changed(field: Field) -> Field:
-    """The field after something happened to it between the reference images and the boat."""
-    effects = field.config.effects
-    cones, sheets = list(field.cones), list(field.sheets)
-    for i, cone in enumerate(cones):
-        if cone.name != effects.toppled_cone:
-            continue
-        # It leans about a horizontal line through the lowest point under its base.
-        foot = cone.base_wcs_m * [1, 1, 0]
-        aside = np.cross(cone.axis_wcs, [0.0, 0.0, 1.0])
-        aside = aside / np.linalg.norm(aside) if np.linalg.norm(aside) > 0.3 else np.array([1.0, 0.0, 0.0])
-        lean = Rotation.from_rotvec(np.deg2rad(effects.toppled_by_deg) * aside).as_matrix()
-        cones[i] = cone.moved(lean, foot)
-        sheets = [replace(s, surface=cones[i]) if s.cone == cone.name else s for s in sheets]
-    if effects.moved_marker is not None:
-        _require_in_view(sheets, effects.moved_marker)
-        sheets = [_shifted(s, effects.moved_by_m) if s.marker == effects.moved_marker else s for s in sheets]
-    return replace(field, cones=tuple(cones), sheets=tuple(sheets))
-
-
-def _require_in_view(sheets: list[Sheet], marker: int) -> None:
-    """Refuse to move a marker where nobody would notice.
-
-    Raises
-    ------
-    ConfigError : there is no such marker, or it looks away from the boat.
-    """
-    sheet = next((s for s in sheets if s.marker == marker), None)
-    if sheet is None:
-        found = f"marker {marker} is on no board, bar or cone and not on the ground"
-    else:
-        way = _EYE_WCS_M - sheet.centre_wcs_m()
-        if float(way @ sheet.normal_wcs()) > _LEAST_FACING * float(np.linalg.norm(way)):
-            return
-        found = f"marker {marker} on {sheet.thing} looks away from the boat, which would not see it moved"
-    raise ConfigError(
-        found,
-        expected="a marker that the boat's camera can see",
-        where="twin.field.effects.moved_marker",
-        cure="Take one of the boards, 70 to 79, or a marker on the inner side of a cone",
-    )
-
-
-def _shifted(sheet: Sheet, way_m: float) -> Sheet:
-    if isinstance(sheet.surface, FieldCone):
-        slant, azimuth = sheet.place
-        return replace(sheet, place=(slant, azimuth + way_m / (slant * np.sin(sheet.surface.half_angle_rad))))
-    return replace(sheet, place=(sheet.place[0] + way_m, sheet.place[1]))
 
 
 # ---------------------------------------------------------------- boards, scale bars and sheets on the ground

@@ -93,7 +93,7 @@ class Yard:
     layout: MarkerLayout = MarkerLayout()  # noqa: RUF009 - frozen
 
     @classmethod
-    def of(cls, scene: FieldScene, sheets: Iterable[Sheet], layout: MarkerLayout | None = None) -> Self:
+    def of(cls, scene: FieldScene, sheets: Iterable[Sheet]) -> Self:
         """The yard of the twin's field."""
         return cls(
             vertices_wcs_m=scene.scene.vertices_wcs_m,
@@ -101,7 +101,6 @@ class Yard:
             things=scene.things,
             names=scene.names,
             sheets=tuple(sheets),
-            layout=MarkerLayout() if layout is None else layout,
         )
 
     def with_thing(
@@ -195,10 +194,18 @@ def people(config: TwinConfig, seed: int, recording: str, field: Field) -> Array
     return np.array(places).reshape(-1, 2)
 
 
-def recorded_scene(config: TwinConfig, seed: int, recording: str) -> FieldScene:
-    """The field while the boat records, with the people of that recording."""
-    field = build_field(config, seed, when="boat")
-    return field_scene(field, people_wcs_m=people(config, seed, recording, field))
+def recorded(config: TwinConfig, seed: int, recording: str) -> tuple[Field, FieldScene]:
+    """The field and what stands there in a recording, with the people who are about then.
+
+    Parameters
+    ----------
+    config : section ``twin`` with ``field``.
+    seed : seed of the campaign.
+    recording : ``reference``, when nobody is about; ``run``, ``position 1`` and so on.
+    """
+    field = build_field(config, seed)
+    about = None if recording == "reference" else people(config, seed, recording, field)
+    return field, field_scene(field, people_wcs_m=about)
 
 
 def _add_fence(out: _Things, distance_m: float) -> None:
@@ -259,21 +266,9 @@ def _add_tube(
 
 
 def yard_of(config: TwinConfig, seed: int, recording: str) -> Yard:
-    """The yard at one time, with the sheets that are really there.
-
-    Parameters
-    ----------
-    config : section ``twin`` with ``field``.
-    seed : seed of the campaign.
-    recording : ``reference``; or ``run``, ``position 1`` and so on: after what happened to the field, and
-        with the people who are about then.
-    """
-    if recording == "reference":
-        field = build_field(config, seed)
-        return Yard.of(field_scene(field), field.sheets, MarkerLayout())
-    field = build_field(config, seed, when="boat")
-    scene = field_scene(field, people_wcs_m=people(config, seed, recording, field))
-    return Yard.of(scene, field.sheets, MarkerLayout())
+    """The yard in a recording, as `recorded` has it, with the sheets that are there."""
+    field, scene = recorded(config, seed, recording)
+    return Yard.of(scene, field.sheets)
 
 
 def with_boat(

@@ -33,7 +33,7 @@ def run_scan():
     """Lidar recording of the run about the field: the capture of `simulate_lidar` before its packets."""
 
     def record(config: TwinConfig, seed: int, *, near_cones_m: float | None = 0.3, **mount: Any) -> Scan:
-        field = build_field(config, seed, when="boat")
+        field = build_field(config, seed)
         scene = field_scene(field).scene
         sensor = LidarSensor.on_board(config, seed, FieldRun(config, seed), scene, **mount)
         return scan(sensor, field, duration_s=config.duration_s, near_cones_m=near_cones_m)

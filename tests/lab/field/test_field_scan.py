@@ -27,7 +27,7 @@ def twin(lidar: dict[str, Any] | None = None, **field: Any) -> TwinConfig:
 def off_cones(config: TwinConfig, scan: Scan, number: int) -> list[np.ndarray]:
     """Distance of the points of each cone from its true surface."""
     points = standing(config, number).T_wcs_ics.apply(scan.points_scs_m @ R.T + LEVER)
-    cones = build_field(config, SEED, when="boat").cones
+    cones = build_field(config, SEED).cones
     return [cone.distance_m(points[scan.cone == i]) for i, cone in enumerate(cones)]
 
 
@@ -90,7 +90,7 @@ def test_the_run_sees_every_cone_from_many_sides(run_scan):
     run = FieldRun(config, SEED)
     places = run.position_wcs_m(scan.t_gps_s)
     points = places + np.einsum("nij,nj->ni", run.R_wcs_ics(scan.t_gps_s), scan.points_scs_m @ R.T + LEVER)
-    for i, cone in enumerate(build_field(config, SEED, when="boat").cones):
+    for i, cone in enumerate(build_field(config, SEED).cones):
         on = scan.cone == i
         assert on.sum() > 500, cone.name
         off = cone.distance_m(points[on])

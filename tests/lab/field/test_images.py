@@ -146,7 +146,7 @@ def test_poses_are_those_of_boat_and_mount_at_the_true_time(folder):
 def test_opencv_finds_the_tags_where_the_truth_projects_them(folder, kind):
     """Middles of tags, by software of other people, with the true pose and camera."""
     twin = config()
-    camera, field = true_camera(twin.camera, "boat"), build_field(twin, SEED, when="boat")
+    camera, field = true_camera(twin.camera, "boat"), build_field(twin, SEED)
     errors = []
     for row in table(folder, kind).itertuples():
         R = Rotation.from_quat([row.q_x, row.q_y, row.q_z, row.q_w]).as_matrix()
@@ -159,13 +159,6 @@ def test_opencv_finds_the_tags_where_the_truth_projects_them(folder, kind):
     # OpenCV's corners come from a contour in whole pixels; all four lie inside by about a pixel.
     assert np.abs(np.median(error, axis=0)).max() < 0.3
     assert np.median(np.hypot(*error.T)) < 0.6
-
-
-def test_a_marker_moves_between_reference_and_boat():
-    effects = {"moved_marker": 66, "moved_by_m": 0.1}
-    moved = config(field={"position_s": 2.0, "effects": effects})
-    before, after = (build_field(moved, SEED, when=w).sheet(66).centre_wcs_m() for w in ("reference", "boat"))
-    assert np.linalg.norm(after - before) == pytest.approx(0.1, abs=1e-6)
 
 
 def test_the_tour_stays_clear_and_turns_the_camera():

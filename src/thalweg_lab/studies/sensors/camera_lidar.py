@@ -94,8 +94,7 @@ def photographed_field(
     boat = true_camera(config.camera, "boat")
     static = {f"position_{n}": standing(config, n).T_wcs_ics @ T_ics_ccs for n in positions}
     poses = static | _run(config, seed, T_ics_ccs, how.run_images)
-    there = build_field(config, seed, when="boat")
-    marks = seen_marks(there, boat, poses, generator(seed, "study boat marks"), how)
+    marks = seen_marks(field, boat, poses, generator(seed, "study boat marks"), how)
     return known, statics_of(orient_on_field(marks, boat, points), points, list(static))
 
 
