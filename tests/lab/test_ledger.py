@@ -2,7 +2,6 @@
 
 import json
 import re
-from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -22,7 +21,7 @@ from thalweg_lab.reproduction import (
     read_ledger,
     sentence,
 )
-from thalweg_lab.reproduction.files import Ours
+from thalweg_lab.reproduction.files import Ours, SigmaOf
 from thalweg_lab.reproduction.ledger import (
     ABOVE,
     BELOW,
@@ -55,6 +54,11 @@ def ledger(repository):
 def alone(ledger):
     """Without any result: what is computed, and all else named."""
     return judged(ledger, NOWHERE).set_index("name")
+
+
+def changed(part, **values):
+    """A part of a ledger with other values."""
+    return part.model_copy(update=values)
 
 
 ONE = """
@@ -151,7 +155,7 @@ def test_the_small_ledger_matches(small):
     ],
 )
 def test_rules(small, rule, value, ours, verdict, missed_by):
-    entry = replace(small[0][1], rule=rule, value=value, half_unit=0.05, put_in="")
+    entry = changed(small[0][1], rule=rule, value=value, half_unit=0.05, put_in="")
     found = verdict_of(entry, Found(value=ours, absent="" if ours is not None else "gone"))
     assert found[0] == verdict
     assert_allclose(found[2], missed_by, atol=1e-12)
@@ -211,7 +215,7 @@ def test_counts_and_the_sentence_agree_and_add_up():
 
 def test_sampling_error_needs_a_sigma(small):
     assert verdict_of(small[0][3], Found(value=0.32))[0] == NO_RESULT
-    assert judged((replace(small[0][3], ours=replace(small[0][3].ours, sigma="binomial")),), small[1])[
+    assert judged((changed(small[0][3], ours=changed(small[0][3].ours, sigma="binomial")),), small[1])[
         "reason"
     ].iloc[0]
 
@@ -219,19 +223,19 @@ def test_sampling_error_needs_a_sigma(small):
 @pytest.mark.parametrize(
     ("change", "told"),
     [
-        ({"name": "gone.csv"}, "gone.csv is not there"),
-        ({"columns": ("rms",)}, "no column 'rms'"),
+        ({"file": "gone.csv"}, "gone.csv is not there"),
+        ({"column": ["rms"]}, "no column 'rms'"),
         ({"near": {"depth_mm": (50.0, 0.5)}}, "no row with depth_mm within 0.5 of 50"),
         ({"near": {}}, "2 numbers"),
         ({"n": "count"}, "no column 'count'"),
-        ({"source": "setting", "name": "laser.power"}, "no laser.power"),
-        ({"source": "study", "name": "slow.csv"}, "snakemake results/reproduction/slow.csv"),
-        ({"source": "none", "name": "not measured"}, "not measured"),
-        ({"name": "facts.json", "key": ("image", 1, "sigma_px"), "columns": ()}, "no image.1.sigma_px"),
+        ({"file": None, "setting": "laser.power"}, "no laser.power"),
+        ({"file": None, "study": "slow.csv"}, "snakemake results/reproduction/slow.csv"),
+        ({"file": None, "none": "not measured"}, "not measured"),
+        ({"file": "facts.json", "key": ["image", 1, "sigma_px"], "column": []}, "no image.1.sigma_px"),
     ],
 )
 def test_what_is_absent_is_named(small, change, told):
-    entry = replace(small[0][0], ours=replace(small[0][0].ours, **change))
+    entry = changed(small[0][0], ours=changed(small[0][0].ours, **change))
     (row,) = judged((entry,), small[1]).to_dict("records")
     assert row["verdict"] == NO_RESULT
     assert told in why_words(row)
@@ -268,16 +272,16 @@ TAKEN = pd.DataFrame(
         ({"take": "count"}, 2.0),
         ({"take": "largest", "times": 10.0}, 30.0),
         ({"take": "largest", "over": "b"}, 3.0),
-        ({"take": "rms", "columns": ("a", "b")}, np.sqrt(34 / 5)),
+        ({"take": "rms", "column": ["a", "b"]}, np.sqrt(34 / 5)),
         ({"take": "one", "where": {"b": 1.0}}, 3.0),
-        ({"columns": ("word",), "near": {"a": (0.0, 9.0)}, "words": {"one": 1.0, "two": 2.0}}, 1.0),
+        ({"column": ["word"], "near": {"a": (0.0, 9.0)}, "words": {"one": 1.0, "two": 2.0}}, 1.0),
         ({"take": "largest", "against": "t.csv"}, 1.0),
         ({"take": "largest", "against_where": {"b": 2.0}}, -0.75),
     ],
 )
 def test_several_numbers_become_one(tmp_path, more, value):
     TAKEN.to_csv(tmp_path / "t.csv", index=False)
-    ours = replace(Ours(source="file", name="t.csv", where={}, near={}, columns=("a",)), **more)
+    ours = changed(Ours(file="t.csv", column="a"), **more)
     found = Results({"t.csv": tmp_path / "t.csv"}, {}, None).find(ours)
     assert found.value == pytest.approx(value), found
 
@@ -285,14 +289,14 @@ def test_several_numbers_become_one(tmp_path, more, value):
 def test_sigmas(tmp_path):
     TAKEN.to_csv(tmp_path / "t.csv", index=False)
     results = Results({"t.csv": tmp_path / "t.csv"}, {}, None)
-    ours = Ours(source="file", name="t.csv", where={"b": 1.0}, near={}, columns=("a",))
-    assert results.find(replace(ours, sigma="b", times=2.0)).sigma == 2.0
-    assert results.find(replace(ours, sigma="unit")).sigma == 1.0
+    ours = Ours(file="t.csv", where={"b": 1.0}, column="a")
+    assert results.find(changed(ours, sigma="b", times=2.0)).sigma == 2.0
+    assert results.find(changed(ours, sigma="unit")).sigma == 1.0
     # mean of independent rows: sqrt((1 + 4 + 4) / 3) / sqrt(3)
-    assert results.find(replace(ours, sigma_of=("t.csv", "b"))).sigma == pytest.approx(1.0)
-    share = replace(ours, columns=("b",), take="mean", sigma="binomial", n="b", over="b")
+    assert results.find(changed(ours, sigma_of=SigmaOf(file="t.csv", column="b"))).sigma == pytest.approx(1.0)
+    share = changed(ours, column=["b"], take="mean", sigma="binomial", n="b", over="b")
     assert results.find(share).sigma == 0.0
-    assert "no share" in results.find(replace(share, where={}, over="")).absent
+    assert "no share" in results.find(changed(share, where={}, over="")).absent
 
 
 @pytest.mark.parametrize(
@@ -361,7 +365,7 @@ def test_missing_and_empty_ledgers(tmp_path):
 
 
 def test_an_unknown_function_is_an_error(small):
-    entry = replace(small[0][0], ours=Ours(source="computed", name="magic", where={}, near={}))
+    entry = changed(small[0][0], ours=Ours(computed="magic"))
     with pytest.raises(InputError, match="magic"):
         judged((entry,), NOWHERE)
 

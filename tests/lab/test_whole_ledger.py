@@ -33,7 +33,7 @@ from thalweg_lab.reproduction import (
     told,
     whole_ledger,
 )
-from thalweg_lab.reproduction.files import NAMES
+from thalweg_lab.reproduction.files import NAMES, Ours
 from thalweg_lab.reproduction.ledger import (
     ABOVE,
     BELOW,
@@ -364,7 +364,7 @@ def test_each_kind_of_number_turns_when_it_changes(entries, ledger, results, pag
         monkeypatch.setitem(
             COMPUTED, "off", lambda published, found=found, **_: Found(value=found, sigma=0.0)
         )
-        other = replace(entry, ours=replace(entry.ours, source="computed", name="off"))
+        other = entry.model_copy(update={"ours": Ours(computed="off")})
         assert set(whole_ledger((other,), results, pages)["verdict"]) == {NOT_MATCHED}, entry
         turned.append((entry.ours.source, entry.rule))
     assert {"computed", "setting", "file", "study"} <= {source for source, _ in turned}
@@ -539,7 +539,7 @@ def test_a_direction_counts_beyond_two_sigmas(entries, ours, sigma, verdict):
     assert (entry.rule, entry.value, entry.basis) == ("at most", 0.0, "direction")
     assert verdict_of(entry, Found(value=ours, sigma=sigma))[0] == verdict
     # a bound that is printed as a number is no direction
-    bound = replace(entry, basis="goal")
+    bound = entry.model_copy(update={"basis": "goal"})
     assert verdict_of(bound, Found(value=-0.5, sigma=sigma))[0] == BELOW
 
 

@@ -8,8 +8,7 @@ Rows are published items (C001 to C328), misprints (E01 to E30) and ideas for fu
 A file with a ``campaign`` points to results of that campaign; in all others a path begins with the campaign.
 """
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, Self
 
@@ -104,103 +103,7 @@ POINTERS: Final = {".csv": "column", ".parquet": "column", ".json": "key", ".yam
 _NEEDS_VALUE: Final = ("equal", "at most", "at least", "inside", "misprint")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Ours:
-    """Where our number comes from.
-
-    Parameters
-    ----------
-    source : one of `SOURCES`: a file below the campaign's results, a study's table below
-        ``results/reproduction``, a setting of the twin, a function of this package, parts of the project
-        (`NAMES`), or nothing yet.
-    name : path of the file, dotted path of the setting, name of the function, names of the parts with commas
-        between them, or why there is nothing.
-    where : column of a table -> text or number that its rows must have.
-    near : column -> value and how far from it a row may lie.
-    columns, key : of a table, several are put together; path into a JSON or YAML file.
-    over : column or key by whose value the number is divided.
-    against, against_where : another file below the results, other rows: the same number of that one is the
-        divisor.
-    take : how several numbers become one, see `TAKES`.
-    times : factor to the printed unit.
-    n, sigma : column or key of the number of observations and of the sigma, in the file's unit; instead of a
-        sigma also ``binomial``, that of a share of n observations, ``scatter``, that of the rows themselves,
-        or ``unit`` for a number that is in its own sigmas.
-    sigma_of : file and column whose sigmas, as of a mean of independent rows, are that of the number.
-    words : text in the file -> number, by the first that the text begins with.
-    axis : of a mesh: its 1st, 2nd or 3rd longest extent.
-    extra : arguments of a function.
-    """
-
-    source: str
-    name: str
-    where: Mapping[str, str | float]
-    near: Mapping[str, tuple[float, float]]
-    columns: tuple[str, ...] = ()
-    key: tuple[str | int, ...] = ()
-    over: str = ""
-    against: str = ""
-    against_where: Mapping[str, str | float] = field(default_factory=dict)
-    take: str = "one"
-    times: float = 1.0
-    n: str = ""
-    sigma: str = ""
-    sigma_of: tuple[str, str] | None = None
-    words: Mapping[str, float] | None = None
-    axis: int = 0
-    extra: Mapping[str, Any] | None = None
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Entry:
-    """A published number.
-
-    Parameters
-    ----------
-    rows : items of the project's list that it belongs to, such as C286.
-    part : which number of these rows it is; empty if it is the only one.
-    section : heading under which it stands.
-    where : paper and section or table: P4 6.3.
-    quantity : in words.
-    printed : as it stands in the text.
-    value : number or word that is compared; two for ``inside``; None if there is none.
-    unit : of the value.
-    half_unit : half a unit of the last printed digit; 0 for words and counts that are exact.
-    tolerance : instead of that; 0 if the half unit counts.
-    decided : of a misprint, the number that this project takes instead; else NaN.
-    kind, rule, basis : see `KINDS`, `RULES`, `BASES`.
-    put_in : of a number that this project put in, why it is no finding, see `PUT_IN`; else empty.
-    why : reason of the rule; of ``not checkable``, why it cannot be checked.
-    ours : where our number comes from.
-    note : what a reader of the verdict should know.
-    """
-
-    rows: tuple[str, ...]
-    part: str
-    section: str
-    where: str
-    quantity: str
-    printed: str
-    value: float | str | tuple[float, float] | None
-    unit: str
-    half_unit: float
-    tolerance: float
-    decided: float
-    kind: str
-    rule: str
-    basis: str
-    put_in: str
-    why: str
-    ours: Ours
-    note: str
-
-    @property
-    def name(self) -> str:
-        """First row and part: what other entries and functions call it by."""
-        return f"{self.rows[0]} {self.part}".strip()
-
-
-def read_ledger(path: Path) -> tuple[Entry, ...]:
+def read_ledger(path: Path) -> "tuple[Entry, ...]":
     """The entries of a ledger in their order.
 
     Raises
@@ -209,30 +112,13 @@ def read_ledger(path: Path) -> tuple[Entry, ...]:
     """
     ledger = checked(_Ledger, read_yaml(path), what="ledger", where=path)
     return tuple(
-        entry
+        entry.model_copy(update={"section": section.title})
         for section in ledger.sections
-        for entry in (
-            *(_entry(written, section.title) for written in section.entries),
-            *_cells(section, path.parent),
-        )
+        for entry in (*section.entries, *_cells(section, path.parent))
     )
 
 
-def _entry(written: "_Entry", section: str) -> Entry:
-    return Entry(
-        section=section,
-        **dict(written)
-        | {
-            "rows": tuple(written.rows),
-            "half_unit": written.half_unit or 0.0,
-            "tolerance": written.tolerance or 0.0,
-            "decided": written.decided if written.decided is not None else float("nan"),
-            "ours": _pointer(written.ours),
-        },
-    )
-
-
-def read_ledgers(folder: Path) -> tuple[Entry, ...]:
+def read_ledgers(folder: Path) -> "tuple[Entry, ...]":
     """All entries of a folder of ledgers, files in order of their names; paths and settings of a file with a
     ``campaign`` begin with it.
 
@@ -246,29 +132,31 @@ def read_ledgers(folder: Path) -> tuple[Entry, ...]:
         for entry in read_ledger(path):
             if entry.name in entries:
                 raise ConfigError(f"{entry.name!r} stands twice", where=path, expected="names that differ")
-            entries[entry.name] = replace(entry, ours=_of_campaign(entry.ours, campaign))
+            entries[entry.name] = entry.model_copy(update={"ours": _of_campaign(entry.ours, campaign)})
     return tuple(entries.values())
 
 
-def _of_campaign(ours: Ours, campaign: str) -> Ours:
+def _of_campaign(ours: "Ours", campaign: str) -> "Ours":
     if not campaign or ours.source not in ("file", "setting"):
         return ours
-    if ours.source == "setting":
-        return replace(ours, name=f"{campaign}.{TWIN_SECTION}.{ours.name}")
-    return replace(
-        ours,
-        name=f"{campaign}/{ours.name}",
-        against=ours.against and f"{campaign}/{ours.against}",
-        sigma_of=ours.sigma_of and (f"{campaign}/{ours.sigma_of[0]}", ours.sigma_of[1]),
+    if ours.setting:
+        return ours.model_copy(update={"setting": f"{campaign}.{TWIN_SECTION}.{ours.name}"})
+    spread = ours.sigma_of
+    return ours.model_copy(
+        update={
+            "file": f"{campaign}/{ours.name}",
+            "against": ours.against and f"{campaign}/{ours.against}",
+            "sigma_of": spread and spread.model_copy(update={"file": f"{campaign}/{spread.file}"}),
+        }
     )
 
 
-def result_files(entries: tuple[Entry, ...], source: str = "file") -> list[str]:
+def result_files(entries: "tuple[Entry, ...]", source: str = "file") -> list[str]:
     """Files that entries point to, once each: ``file`` below a campaign's results, ``study`` below
     ``results/reproduction``.
     """
     pointed = [e.ours for e in entries if e.ours.source == source]
-    names = [name for o in pointed for name in (o.name, o.against, o.sigma_of[0] if o.sigma_of else "")]
+    names = [name for o in pointed for name in (o.name, o.against, o.sigma_of.file if o.sigma_of else "")]
     return list(dict.fromkeys(filter(None, names)))
 
 
@@ -288,12 +176,39 @@ def _value(value: Any) -> Any:
     return float(value) if _is_number(value) else value
 
 
-class _SigmaOf(Part):
+class SigmaOf(Part):
+    """Sigmas of another column: those of a mean of independent rows."""
+
     file: Text
     column: Text
 
 
-class _Ours(Part):
+class Ours(Part):
+    """Where our number comes from.
+
+    One of `SOURCES` is named: a ``file`` below the campaign's results, a table of a ``study`` below
+    ``results/reproduction``, a ``setting`` of the twin, a function of this package (``computed``), parts of
+    the project (`NAMES`), or ``none`` with the reason.
+
+    Parameters
+    ----------
+    where : column of a table -> text or number that its rows must have.
+    near : column -> value and how far from it a row may lie.
+    column, key : of a table, several are put together; path into a JSON or YAML file.
+    over : column or key by whose value the number is divided.
+    against, against_where : another file below the results, other rows: the same number of that one is the
+        divisor.
+    take : how several numbers become one, see `TAKES`.
+    times : factor to the printed unit.
+    n, sigma : column or key of the number of observations and of the sigma, in the file's unit; instead of a
+        sigma also ``binomial``, that of a share of n observations, ``scatter``, that of the rows themselves,
+        or ``unit`` for a number that is in its own sigmas.
+    sigma_of : file and column whose sigmas, as of a mean of independent rows, are that of the number.
+    words : text in the file -> number, by the first that the text begins with.
+    axis : of a mesh: its 1st, 2nd or 3rd longest extent.
+    extra : arguments of a function.
+    """
+
     file: Text | None = None
     study: Text | None = None
     setting: Text | None = None
@@ -315,7 +230,7 @@ class _Ours(Part):
     times: float = 1.0
     n: str = ""
     sigma: str = ""
-    sigma_of: _SigmaOf | None = None
+    sigma_of: SigmaOf | None = None
     words: dict[str, float] | None = None
     axis: int = 0
     extra: dict[str, Any] | None = Field(default=None, alias="with")
@@ -353,7 +268,29 @@ class _Ours(Part):
         return self
 
 
-class _Entry(Part):
+class Entry(Part):
+    """A published number.
+
+    Parameters
+    ----------
+    rows : items of the project's list that it belongs to, such as C286.
+    part : which number of these rows it is; empty if it is the only one.
+    where : paper and section or table: P4 6.3.
+    quantity : in words.
+    printed : as it stands in the text.
+    value : number or word that is compared; two for ``inside``; None if there is none.
+    unit : of the value.
+    half_unit : half a unit of the last printed digit; 0 for words and counts that are exact.
+    tolerance : instead of that; 0 if the half unit counts.
+    decided : of a misprint, the number that this project takes instead; else NaN.
+    kind, rule, basis : see `KINDS`, `RULES`, `BASES`.
+    put_in : of a number that this project put in, why it is no finding, see `PUT_IN`; else empty.
+    why : reason of the rule; of ``not checkable``, why it cannot be checked.
+    ours : where our number comes from.
+    note : what a reader of the verdict should know.
+    section : heading under which it stands, given by the file.
+    """
+
     rows: Annotated[list[_Row], Field(min_length=1, description="a list such as [C286]")]
     part: Text = ""
     where: Text
@@ -361,20 +298,21 @@ class _Entry(Part):
     printed: Annotated[Text, BeforeValidator(str)]
     value: Annotated[Any, AfterValidator(_value)] = None
     unit: Annotated[str, BeforeValidator(str)] = ""
-    half_unit: _Size | None = None
-    tolerance: _Size | None = None
-    decided: float | None = None
+    half_unit: _Size = 0.0
+    tolerance: _Size = 0.0
+    decided: float = float("nan")
     kind: Annotated[str, one_of(KINDS)]
     rule: Annotated[str, one_of(RULES)]
     basis: Annotated[str, one_of(BASES)] = ""
     put_in: Annotated[str, one_of(tuple(PUT_IN))] = ""
     why: Text
-    ours: _Ours
+    ours: Ours
     note: Text = ""
+    section: str = ""
 
     @property
     def name(self) -> str:
-        """First row and part."""
+        """First row and part: what other entries and functions call it by."""
         return f"{self.rows[0]} {self.part}".strip()
 
     @model_validator(mode="after")
@@ -383,8 +321,8 @@ class _Entry(Part):
         return self
 
     def _rule_fits(self) -> Iterator[PydanticCustomError]:
-        if (self.rule == "misprint") != (self.decided is not None):
-            yield wrong(f"found {self.decided!r} for the rule {self.rule!r}", "decided, of misprints alone")
+        if (self.rule == "misprint") != ("decided" in self.model_fields_set):
+            yield wrong(f"found {self.decided} for the rule {self.rule!r}", "decided, of misprints alone")
         if self.rule == "open" and not all(row.startswith("FW") for row in self.rows):
             yield wrong(f"found open for {self.rows}", "open for future work (FW) alone", at=("rule",))
         if self.rule in ("waived", "open") and self.ours.source != "none":
@@ -404,7 +342,7 @@ class _Entry(Part):
     def _basis_fits(self) -> Iterator[PydanticCustomError]:
         if self.rule in _NEEDS_VALUE and not self.basis:
             yield wrong("basis is missing", f"one of: {'; '.join(BASES)}")
-        tolerated = self.tolerance is not None
+        tolerated = "tolerance" in self.model_fields_set
         if (self.basis == "identity" and not tolerated) or (
             tolerated and self.basis not in ("identity", "printed digits")
         ):
@@ -412,7 +350,7 @@ class _Entry(Part):
                 "tolerance and basis do not fit",
                 "a tolerance with the basis identity, or one that follows from several printed numbers",
             )
-        if self.basis in ("printed digits", "sampling error") and self.half_unit is None:
+        if self.basis in ("printed digits", "sampling error") and "half_unit" not in self.model_fields_set:
             yield wrong("half_unit is missing", "half a unit of the last printed digit")
         if self.basis == "direction" and self.rule not in ("at most", "at least"):
             yield wrong(f"found direction for the rule {self.rule!r}", "at most or at least")
@@ -449,7 +387,7 @@ class _Table(Part):
 
 class _Section(Part):
     title: Text
-    entries: list[_Entry] = Field(default=[])
+    entries: list[Entry] = Field(default=[])
     table: _Table | None = None
 
     @model_validator(mode="after")
@@ -498,9 +436,8 @@ def _cells(section: _Section, folder: Path) -> Iterator[Entry]:
         sigma, half = cell["sigma_printed"], cell["sigma_half_unit"]
         by_sigma = cell["half_unit_mm"] + cell["value_mm"] * half / sigma if sigma > 0.0 else 0.0
         yield Entry(
-            rows=(rows[str(cell["input"])],),
+            rows=[rows[str(cell["input"])]],
             part=f"{distance} m",
-            section=section.title,
             where=section.table.where,
             quantity=f"influence of {cell['input']} on a point at {distance} m",
             printed=str(cell["printed"]),
@@ -508,42 +445,21 @@ def _cells(section: _Section, folder: Path) -> Iterator[Entry]:
             unit="mm",
             half_unit=float(cell["half_unit_mm"]),
             tolerance=max(float(cell["tolerance_mm"]), by_sigma),
-            decided=float("nan"),
             kind="exact",
             rule="equal",
             basis="printed digits",
             put_in="definition" if str(cell["input"]).endswith(_TRANSLATIONS) else "fitted",
             why="half a unit or 1 % of the cell, and the rounding of the sigma that it was computed from",
             ours=Ours(
-                source="study",
-                name=f"budgets/{name}.csv",
+                study=f"budgets/{name}.csv",
                 where={"input": str(cell["input"])},
-                near={"distance_m": (float(cell["distance_m"]), 0.01)},
-                columns=("influence_mm",),
+                near={"distance_m": [float(cell["distance_m"]), 0.01]},
+                column=["influence_mm"],
             ),
-            note="",
         )
 
 
-def _pointer(ours: _Ours) -> Ours:
-    values = dict(ours)
-    for name in SOURCES:
-        del values[name]
-    spread = ours.sigma_of
-    return Ours(
-        **values
-        | {
-            "source": ours.source,
-            "name": ours.name,
-            "near": {name: (value, reach) for name, (value, reach) in ours.near.items()},
-            "key": tuple(values["key"]),
-            "sigma_of": (spread.file, spread.column) if spread else None,
-            "columns": tuple(values.pop("column")),
-        }
-    )
-
-
-def _must_be_put_in(ours: _Ours) -> tuple[str, str] | None:
+def _must_be_put_in(ours: Ours) -> tuple[str, str] | None:
     """Class of `PUT_IN` that a pointer implies, and its source in words; None where it implies none."""
     if ours.setting:
         return "setting", "a setting of the twin"

@@ -189,15 +189,13 @@ class Results:
             return self._parts(ours)
         found = self._in_file(ours, ours.name)
         if ours.sigma_of and found.value is not None:
-            file, column = ours.sigma_of
-            spread = self._in_file(
-                Ours(source=ours.source, name=file, where={}, near={}, columns=(column,), take="mean error"),
-                file,
-            )
+            of = ours.sigma_of
+            mean = {ours.source: of.file, "column": [of.column], "take": "mean error"}
+            spread = self._in_file(Ours.model_construct(**mean), of.file)
             found = replace(found, sigma=spread.value if isinstance(spread.value, float) else float("nan"))
         if not (ours.against or ours.against_where) or not isinstance(found.value, float):
             return found
-        other = replace(ours, where=ours.against_where or ours.where)
+        other = ours.model_copy(update={"where": ours.against_where or ours.where})
         divisor = self._in_file(other, ours.against or ours.name)
         if not isinstance(divisor.value, float):
             return divisor
@@ -621,7 +619,7 @@ def _source(entry: Entry) -> str:
         return f"computed: {ours.name}"
     if ours.source in NAMES:
         return f"{ours.source}: {ours.name}"
-    at = " and ".join(filter(None, ours.columns)) or ".".join(str(part) for part in ours.key) or "extent"
+    at = " and ".join(filter(None, ours.column)) or _dotted(ours.key) or "extent"
     rows = ", ".join(
         [*(f"{k} = {v}" for k, v in ours.where.items()), *(f"{k} ~ {v[0]:g}" for k, v in ours.near.items())]
     )
@@ -1001,12 +999,12 @@ def _of_table(table: pd.DataFrame, ours: Ours) -> Found:
     if not len(rows):
         raise _AbsentError(f"no row with {_selection(ours)}")
     if ours.take == "count":
-        known = _column(rows, ours.columns[0]).notna().sum()
+        known = _column(rows, ours.column[0]).notna().sum()
         return Found(value=float(known), n=float(known))
-    first = _column(rows, ours.columns[0])
+    first = _column(rows, ours.column[0])
     if not pd.api.types.is_numeric_dtype(first):
         return Found(value=_word(first.astype(str).tolist(), ours))
-    values = np.stack([_column(rows, name).to_numpy(np.float64) for name in ours.columns], axis=1)
+    values = np.stack([_column(rows, name).to_numpy(np.float64) for name in ours.column], axis=1)
     if ours.over:
         values = values / _column(rows, ours.over).to_numpy(np.float64)[:, None]
     n = float(_column(rows, ours.n).sum()) if ours.n else float("nan")
