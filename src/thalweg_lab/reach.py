@@ -34,6 +34,8 @@ _BAR_TOP_M: Final = 0.25
 """Height of the gravel bar of a second epoch above the water."""
 BAR_PLACE: Final = 0.06
 """Distance of its middle from the left shore as a share of the river's width."""
+_WEIR_POOL_M: Final = 1.8
+"""How much deeper the bed is before the weir."""
 _SCOUR_M: Final = 0.7
 """Depth of the scour hole of a second epoch."""
 
@@ -327,7 +329,7 @@ class River:
             before = self.weir_s_m() - s
             length = min(60.0, 0.15 * c.length_m)
             # The impounded water deepens towards the weir; behind it the fall has scoured a shorter hole.
-            deep = deep + c.weir_pool_m * np.exp(-np.abs(before) / np.where(before > 0, length, 6.0))
+            deep = deep + _WEIR_POOL_M * np.exp(-np.abs(before) / np.where(before > 0, length, 6.0))
         return np.asarray(deep)
 
     def _depth_by_sections(self, s: ArrayF, u: ArrayF) -> ArrayF:

@@ -27,6 +27,7 @@ from thalweg.core import (
 from thalweg_lab.instruments import (
     FIRING_S,
     LASER_S,
+    ROTATION_HZ,
     VLP_16,
     Beams,
     Lasers,
@@ -39,7 +40,17 @@ from thalweg_lab.random_numbers import generator
 from thalweg_lab.settings import TwinCamera, TwinConfig, TwinField
 from thalweg_lab.voyage import standing, start_gps_s, static_seed, write_effects
 from thalweg_lab.writers import start_us
-from thalweg_lab.yard import ANTENNA, FLAT, Field, build_field, field_of, recorded
+from thalweg_lab.yard import (
+    ANTENNA,
+    ANTENNA_OFFSET_M,
+    CONE_M,
+    FLAT,
+    FLAT_MODULE_M,
+    Field,
+    build_field,
+    field_of,
+    recorded,
+)
 
 KIND: Final = "thalweg twin field"
 FIELD_POSES: Final = table_kind(
@@ -54,6 +65,12 @@ FIELD_POSES: Final = table_kind(
     ],
 )
 
+_SIGMA_BAR_M: Final = 0.00003
+"""Error of the certificates of the scale bars."""
+_SIGMA_ANTENNA_OFFSET_M: Final = 0.001
+"""Error of the stated offset of the antenna."""
+_INTERVAL_JITTER_S: Final = 0.004
+"""Scatter of the time between two exposures of a run."""
 _CHUNK: Final = 6144
 """Firings at a time, as in `thalweg_lab.instruments.lidar`."""
 _UNIT_M: Final = 0.002
@@ -112,9 +129,9 @@ def description(field: Field, seed: int, frame: LocalFrame) -> str:
     rng = generator(seed, "field certificates")
     bars, targets = [], []
     for bar in field.bars:
-        certified = bar.length_m + f.sigma_bar_m * rng.standard_normal()
+        certified = bar.length_m + _SIGMA_BAR_M * rng.standard_normal()
         ends = {"from": f"{bar.markers[0]}/0", "to": f"{bar.markers[1]}/0"}
-        length = {"length_m": round(float(certified), 7), "sigma_m": f.sigma_bar_m}
+        length = {"length_m": round(float(certified), 7), "sigma_m": _SIGMA_BAR_M}
         bars.append({"name": bar.name, **ends, **length})
     rng = generator(seed, "field targets")
     for target, place in zip(field.targets, _target_places(field), strict=True):
@@ -130,20 +147,20 @@ def description(field: Field, seed: int, frame: LocalFrame) -> str:
                 "sigma_m": list(f.sigma_target_m),
             }
         )
-    error = f.sigma_antenna_offset_m * float(generator(seed, "field antenna offset").standard_normal())
+    error = _SIGMA_ANTENNA_OFFSET_M * float(generator(seed, "field antenna offset").standard_normal())
     facts = {
         "thalweg_field": 1,
         "markers": {
             "dictionary": "DICT_4X4_250",
             "module_m": f.module_m,
-            "sizes": [{"ids": list(FLAT), "module_m": f.flat_module_m}],
+            "sizes": [{"ids": list(FLAT), "module_m": FLAT_MODULE_M}],
         },
         "cones": [
             {
                 "name": cone.name,
                 "markers": [cone.markers[0], cone.markers[-1]],
                 "half_angle_deg": f.half_angle_deg,
-                "length_m": f.cone_length_m,
+                "length_m": CONE_M[1],
             }
             for cone in field.cones
         ],
@@ -151,8 +168,8 @@ def description(field: Field, seed: int, frame: LocalFrame) -> str:
         "targets": targets,
         "antenna": {
             "marker": ANTENNA,
-            "offset_m": round(f.antenna_offset_m + error, 5),
-            "sigma_m": f.sigma_antenna_offset_m,
+            "offset_m": round(ANTENNA_OFFSET_M + error, 5),
+            "sigma_m": _SIGMA_ANTENNA_OFFSET_M,
         },
     }
     return _yaml(facts)
@@ -202,7 +219,7 @@ def _facts(field: Field) -> dict[str, Any]:
             {"name": t.name, "marker": t.marker, "centre_wcs_m": p.tolist()}
             for t, p in zip(field.targets, _target_places(field), strict=True)
         ],
-        "antenna_offset_m": field.config.antenna_offset_m,
+        "antenna_offset_m": ANTENNA_OFFSET_M,
     }
 
 
@@ -340,7 +357,7 @@ def static_scan(
     field, scene = recorded(config, seed, f"position {number}")
     duration_s = motion.config.duration_s
     if revolutions is not None:
-        duration_s = revolutions / config.lidar.rotation_hz
+        duration_s = revolutions / ROTATION_HZ
     sensor = LidarSensor.on_board(
         motion.config,
         static_seed(seed, number),
@@ -471,7 +488,7 @@ def run_times(config: TwinConfig, seed: int) -> ImageTimes:
     n = max(int((config.duration_s - phase - 0.2 / camera.rate_hz) * camera.rate_hz) + 1, 1)
     released = phase + np.arange(n) / camera.rate_hz
     # Independent errors of std / sqrt 2 about an even grid give intervals of the stated std.
-    released = released + rng.standard_normal(n) * camera.interval_jitter_s / np.sqrt(2.0)
+    released = released + rng.standard_normal(n) * _INTERVAL_JITTER_S / np.sqrt(2.0)
     exposed = released + as_it_errs(config, seed).camera.jitter_s * shutter.standard_normal(n)
     return _times(config, released, exposed)
 

@@ -11,6 +11,10 @@ from thalweg_lab.settings import TwinDualFisheye, TwinLens
 from thalweg_lab.yard_images import LensRays, exposed
 
 LENSES: Final = ("front", "back")
+_FOCAL_DIFFERENCE_PX: Final = -0.8
+"""Camera constant of the back lens minus that of the front lens."""
+_BACK_EXPOSURE: Final = 1.12
+"""Light of the back lens over that of the front lens."""
 _SCATTER: Final = np.array([1e-3, 1e-3, 5e-4, 1e-4])
 """Scatter of the distortion of single lenses of one kind."""
 
@@ -66,10 +70,10 @@ class TrueRig:
         views = {}
         for name in LENSES:
             rim = self._rim(name)
-            gain = exposure * (s.back_exposure if name == "back" else 1.0)
+            gain = exposure * (_BACK_EXPOSURE if name == "back" else 1.0)
             views[name] = exposed(light[name] * rim[..., None], lens, rng, exposure=gain)
             # what no ray reaches stays dark but for the sensor's noise
-        turned = np.rot90(views["back"], s.back_turn_deg // 90)
+        turned = np.rot90(views["back"], 2)
         return np.ascontiguousarray(np.concatenate([views["front"], turned], axis=1))
 
     def _rim(self, name: str) -> ArrayF32:
@@ -86,7 +90,7 @@ def true_rig(settings: TwinDualFisheye, seed: int) -> TrueRig:
     n = settings.circle_px
     offset = np.asarray(settings.principal_offset_px)
     cameras, count = {}, len(PARAMETERS[settings.lens])
-    for name, sign, more in (("front", 1.0, 0.0), ("back", -1.0, settings.focal_difference_px)):
+    for name, sign, more in (("front", 1.0, 0.0), ("back", -1.0, _FOCAL_DIFFERENCE_PX)):
         f = settings.focal_px + more
         shape = np.asarray(settings.distortion) + _SCATTER * rng.standard_normal(4) * 0.2
         cameras[name] = Camera(

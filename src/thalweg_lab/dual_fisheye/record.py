@@ -96,12 +96,7 @@ def simulate_dual_fisheye(
         picture = true.file_of(
             light, generator(seed, f"dual fisheye {k}"), metered_exposure(light["front"][160:-160, 160:-160])
         )
-        write_jpeg(
-            images / names[k],
-            picture,
-            _facts(settings, int(stamp_us[k]) + zone_us),
-            quality=settings.jpeg_quality,
-        )
+        write_jpeg(images / names[k], picture, _facts(settings, int(stamp_us[k]) + zone_us), quality=93)
     source = "digital twin, true poses of the front lens"
     true_poses(names, at, fronts, frame, source).write(poses)
     _write_panorama(panorama, world, waves, fronts[len(at) // 2], true, exposed_s[len(at) // 2])
@@ -170,7 +165,7 @@ def simulate_rig_field(
         }
         picture = device.file_of(light, generator(seed, f"dual fisheye room {k}"), 1.3)
         stamp = begin + 5_000_000 * k
-        write_jpeg(images / run_name(stamp), picture, _facts(settings, stamp), quality=settings.jpeg_quality)
+        write_jpeg(images / run_name(stamp), picture, _facts(settings, stamp), quality=93)
 
 
 class _Sphere(LensRays):

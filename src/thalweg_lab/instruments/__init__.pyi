@@ -23,6 +23,7 @@ from .ins import (
 from .lidar import (
     FIRING_S as FIRING_S,
     LASER_S as LASER_S,
+    ROTATION_HZ as ROTATION_HZ,
     VLP_16 as VLP_16,
     Beams as Beams,
     Lasers as Lasers,

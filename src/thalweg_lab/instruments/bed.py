@@ -41,6 +41,10 @@ DEPTHS_M: Final = (0.1, 1.5)
 """Water in which a surveyor wades and a boat floats nearby."""
 REACH_M: Final = 2.0
 """How far from the boat's track points are of use."""
+_MOST_DEPTH_M: Final = 100.0
+"""Range scale of the echo sounder."""
+_SIGMA_TILT_DEG: Final = 0.5
+"""Noise of the tilt that it states."""
 _TRACK_HZ: Final = 5.0
 _ENU: Final = ("east", "north", "up")
 _RINGS: Final = 6
@@ -208,7 +212,7 @@ def _instrument_says(
     silent = (chance[5] < echo.no_bottom_share) & ~lost
     effect[lost], effect[silent] = "turn", "no bottom"
     stated = np.where(lost | silent, np.nan, stated)
-    stated[~((stated > 0) & (stated <= echo.max_depth_m))] = np.nan
+    stated[~((stated > 0) & (stated <= _MOST_DEPTH_M))] = np.nan
     effect[~np.isfinite(stated) & (effect == "")] = "no bottom"
     return _own_filters(stated, echo), _own_filters(consistent, echo), effect.astype(str)
 
@@ -299,7 +303,7 @@ def simulate_echo(
             seen = bool(np.isfinite(depth[i]))
             if seen or echo.zeros:
                 value = float(depth[i]) if seen else 0.0
-                lines.append(writers.dpt(value, echo.offset_m, echo.max_depth_m))
+                lines.append(writers.dpt(value, echo.offset_m, _MOST_DEPTH_M))
                 lines.append(writers.dbt(value))
             file.write("".join(line + "\r\n" for line in lines))
     if out_soundings is not None:
@@ -330,7 +334,7 @@ def _stated_tilt_deg(motion: Motion, t_gps_s: ArrayF, echo: TwinEcho, rng: np.ra
     roll, pitch, _ = motion.angles_rad(t_gps_s)
     forward, right = echo.tilt_deg
     stated = np.rad2deg(np.stack([pitch, roll], axis=1)) + np.array([forward, -right])
-    return np.asarray(stated + echo.sigma_tilt_sensor_deg * rng.standard_normal(stated.shape))
+    return np.asarray(stated + _SIGMA_TILT_DEG * rng.standard_normal(stated.shape))
 
 
 def _write_true_soundings(

@@ -327,6 +327,8 @@ READABLE_CONTRAST: Final = 0.08
 SCAN_S: Final = 0.006
 """Time that the refresh takes from the top to the bottom of the display."""
 
+_INTERVAL_STD_S: Final = 0.023
+"""Standard deviation of the time between two photographs."""
 DAY_S: Final = 86_400
 
 DISPLAY_TRUTH = table_kind(
@@ -368,7 +370,7 @@ def exposures(display: TwinDisplay, seed: int, start_s: float) -> Exposures:
     """
     n = int(display.duration_s / display.interval_mean_s) + 1
     rng = generator(seed, "display shutter")
-    errors = rng.standard_normal(n) * display.interval_std_s / np.sqrt(2.0)
+    errors = rng.standard_normal(n) * _INTERVAL_STD_S / np.sqrt(2.0)
     since = np.arange(n) * display.interval_mean_s + errors + rng.uniform(0.0, 1.0)
     # Apart, because 1.3e9 s in float64 step by 0.24 us: intervals are taken from small numbers.
     midnight = np.floor((start_s + ADJUSTED_OFFSET_S) / DAY_S) * DAY_S - ADJUSTED_OFFSET_S
@@ -449,7 +451,7 @@ def simulate_display(
             facts = PhotoFacts(
                 model="boat camera", clock_us=int(stamps[k]), exposure_s=camera.display.exposure_s
             )
-            data = jpeg_bytes(image, facts, quality=camera.display.jpeg_quality)
+            data = jpeg_bytes(image, facts, quality=85)
             (out_folder / name).write_bytes(data)
             rows.append({"file": name, **row})
     table = pd.DataFrame(rows)

@@ -40,6 +40,8 @@ PULSE_M: Final = 1.0
 """Surfaces nearer to each other than this give one echo (VLP-16 User Manual 63-9243 Rev. D, 6.1)."""
 WEAKEST: Final = 0.1
 """Strength (reflectance times cosine of incidence) that a VLP-16 just sees at 100 m."""
+DETECTION_WIDTH: Final = 0.2
+"""Noise of the received signal at the limit of detection, as a share of the limit."""
 CERTAIN: Final = 4.0
 """Signals that lie this many widths below the limit of detection are never seen."""
 

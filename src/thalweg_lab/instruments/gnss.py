@@ -41,6 +41,8 @@ _UP_OF_FLOAT: Final = 1.5
 STEP_S: Final = 1.0
 """Step of the sampled sky; at 0.4 m/s the boat moves by less than a crown in it."""
 _DIMMING: Final = (Material.LEAF, Material.REED, Material.BLADE)
+_WATER_REFLECTION: Final = 0.2
+"""Weight of a reflection by the water against a dimmed satellite."""
 _DIMMED_WEIGHT: Final = 0.25
 _FRESNEL_M: Final = 0.5
 _REFLECTED_BELOW: Final = float(np.sin(np.deg2rad(30.0)))
@@ -214,7 +216,7 @@ def simulate_gnss(
     satellites = generator(seed, "gnss satellites").integers(11, 15, len(t))
     if view is not None:
         at = view.at(t)
-        reflected = multipath_errors_m(config, seed, multipath_share(view, gnss.water_reflection)[at])
+        reflected = multipath_errors_m(config, seed, multipath_share(view)[at])
         satellites = view.used[at] if gnss.shadow else satellites
     tracks: dict[str, _Track] = {}
     for engine in ("rtk", "ppk"):
@@ -480,9 +482,9 @@ def solutions(view: SkyView, refix_s: float, *, both_ways: bool) -> ArrayI:
     return np.maximum(forward, _after_losses(-view.t_gps_s[::-1], best[::-1], refix_s)[::-1])
 
 
-def multipath_share(view: SkyView, water_reflection: float) -> ArrayF:
+def multipath_share(view: SkyView) -> ArrayF:
     """Share (m,) of the used satellites that are dimmed or reflected, at most 1: it scales multipath."""
-    share = (view.dimmed + water_reflection * view.reflected) / np.maximum(view.used, 1)
+    share = (view.dimmed + _WATER_REFLECTION * view.reflected) / np.maximum(view.used, 1)
     return np.asarray(np.minimum(share, 1.0))
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from thalweg.core import AnyArray, ArrayB, ArrayF, ArrayI, ArrayU8, LocalFrame, njit, rotation_enu_body
 from thalweg_lab.instruments.effects import damage_file, packet_order
 from thalweg_lab.instruments.footprint import (
+    DETECTION_WIDTH,
     PULSE_M,
     WEAKEST,
     Beam,
@@ -52,6 +53,10 @@ from thalweg_lab.writers import (
 _CHUNK: Final = 256
 """Packets simulated at a time: 98,000 shots, about 60 MB."""
 HOUR_US: Final = 3_600_000_000
+ROTATION_HZ: Final = 10.0
+_POSITION_RATE_HZ: Final = 50.0
+_HOST_CLOCK_OFFSET_S: Final = 0.4
+"""Recording computer's clock minus UTC."""
 _RMC_DELAY_S: Final = 0.15
 """From a full second to the arrival of its sentence: so RMC lags TOH by 0.15 to 1.15 s."""
 _FREE_START_US: Final = 140_550_000
@@ -140,11 +145,11 @@ class LidarClock:
         """
         lidar = self._config.lidar
         self._host_s = max(self._host_s, t_s + lidar.host_delay_s * self._host_rng.standard_exponential())
-        return self._start_us * 1000 + round((self._host_s + lidar.host_clock_offset_s) * 1e9)
+        return self._start_us * 1000 + round((self._host_s + _HOST_CLOCK_OFFSET_S) * 1e9)
 
     def positions_until(self, t_s: float) -> Iterator[float]:
         """Times of the position packets that are due and not yet sent."""
-        while (due := self._next_position / self._config.lidar.position_rate_hz) <= t_s:
+        while (due := self._next_position / _POSITION_RATE_HZ) <= t_s:
             self._next_position += 1
             yield due
 
@@ -352,8 +357,10 @@ class LidarSensor:
         return int(self.config.duration_s / (self.firings_per_packet * FIRING_S))
 
     def azimuth_deg(self, t_s: ArrayF) -> ArrayF:
-        """True azimuth of the rotor, not reduced to one turn."""
-        return azimuth_deg(t_s, self.config.lidar.rotation_hz, self.start_deg)
+        """True azimuth of the rotor, not reduced to one turn; its speed swings by 0.05 %."""
+        w = 2 * np.pi * _WOBBLE_HZ
+        turned = t_s + _WOBBLE / w * (1.0 - np.cos(w * t_s))
+        return np.asarray(self.start_deg + 360.0 * ROTATION_HZ * turned)
 
     def shoot(self, packet: ArrayI) -> Shots:
         """All shots of packets (n,), numbers that rise."""
@@ -500,7 +507,7 @@ class LidarSensor:
             echoes.range_m,
             self.detection.uniform(number, echoes.range_m.shape[1]),
             weakest=WEAKEST,
-            width=c.detection_width,
+            width=DETECTION_WIDTH,
             dark_dropouts=c.dark_dropouts,
         )
         counts["dropouts_chance"] = int(np.sum((there & ~water & ~lucky).any(axis=1)))
@@ -739,13 +746,6 @@ def ghosts(
 
 # ---------------------------------------------------------------- beams of a VLP-16 (User Manual 63-9243 Rev.
 # D, chapter 9)
-
-
-def azimuth_deg(t_s: ArrayF, rotation_hz: float, start_deg: float) -> ArrayF:
-    """Azimuth of the rotor, not reduced to one turn; its speed swings by 0.05 %."""
-    w = 2 * np.pi * _WOBBLE_HZ
-    turned = t_s + _WOBBLE / w * (1.0 - np.cos(w * t_s))
-    return np.asarray(start_deg + 360.0 * rotation_hz * turned)
 
 
 def beams(

@@ -9,7 +9,16 @@ from pyproj import CRS
 
 from thalweg.core import AnyArray, ArrayF, ArrayI, LocalFrame
 from thalweg.core.geometry import RayCaster
-from thalweg_lab.instruments.footprint import Beam, EchoKind, ShotRandom, Surfaces, echoes_of, part_of, seen
+from thalweg_lab.instruments.footprint import (
+    DETECTION_WIDTH,
+    Beam,
+    EchoKind,
+    ShotRandom,
+    Surfaces,
+    echoes_of,
+    part_of,
+    seen,
+)
 from thalweg_lab.random_numbers import generator
 from thalweg_lab.reach import River
 from thalweg_lab.river import REFLECTANCE, REFLECTANCE_1550, Material, Scene, outlook
@@ -167,7 +176,7 @@ class Station:
             echoes.range_m,
             self.detection.uniform(number, echoes.range_m.shape[1]),
             weakest=WEAKEST,
-            width=c.detection_width,
+            width=DETECTION_WIDTH,
             dark_dropouts=c.dark_dropouts,
         )
         counts = {

@@ -126,9 +126,6 @@ class TwinScene(Section):
         le=1,
         description="Where the weir stands, as a share of the half length; 1: lower end",
     )
-    weir_pool_m: NonNegative = Field(
-        default=1.8, le=20, description="How much deeper the bed is before the weir, metres"
-    )
     bridge: bool = Field(default=False, description="Whether a bridge crosses the river")
     bridge_place: float = Field(
         default=-0.35, ge=-1, le=1, description="Where the bridge stands, as a share of the half length"
@@ -355,10 +352,6 @@ class TwinGnss(Section):
     multipath_time_s: Positive = Field(
         default=5.0, description="Correlation time of the multipath error (Gauss-Markov), seconds"
     )
-    water_reflection: Share = Field(
-        default=0.2,
-        description="Weight of a satellite that the water reflects in the multipath error; a dimmed one: 1",
-    )
 
 
 class TwinEcho(Section):
@@ -367,7 +360,6 @@ class TwinEcho(Section):
     rate_hz: float = Field(default=10.0, gt=0, le=50, description="Soundings per second")
     sigma_m: NonNegative = Field(default=0.02, le=1, description="Noise of the depth, metres")
     offset_m: Finite = Field(default=0.1, description="Offset in DPT: transducer to water line, metres")
-    max_depth_m: Positive = Field(default=100.0, description="Range scale, metres")
     beam_deg: float = Field(
         default=0.0,
         ge=0,
@@ -424,9 +416,6 @@ class TwinEcho(Section):
     tilt_sentences: bool = Field(
         default=False, description="The transducer's own pitch and roll once a second (XDR)"
     )
-    sigma_tilt_sensor_deg: NonNegative = Field(
-        default=0.5, le=10, description="Noise of the tilt that it states, degrees"
-    )
     bed_survey: bool = Field(
         default=False, description="Points of the bed are surveyed with an RTK pole in shallow water"
     )
@@ -476,12 +465,6 @@ class EchoFaults(Section):
         default=True,
         description="Echoes that are too weak for their range are lost, those near the limit by chance",
     )
-    detection_width: float = Field(
-        default=0.2,
-        ge=0,
-        le=1,
-        description="Noise of the received signal at the limit of detection, as a share of the limit",
-    )
     wet_band_m: NonNegative = Field(
         default=0.1, le=2, description="Ground is wet up to this height above the water, metres"
     )
@@ -491,7 +474,6 @@ class TwinLidar(EchoFaults):
     """Velodyne VLP-16."""
 
     returns: Literal["strongest", "last", "dual"] = Field(default="strongest", description="Return mode")
-    rotation_hz: float = Field(default=10.0, ge=5, le=20, description="Revolutions per second")
     sigma_range_m: NonNegative = Field(
         default=0.0173, le=1, description="Noise of the range, metres (3 cm / sqrt 3, P2 eq. 7)"
     )
@@ -535,12 +517,6 @@ class TwinLidar(EchoFaults):
     vertical_offsets: bool = Field(
         default=True,
         description="Lasers leave at the heights of the manual's table; false: all at the centre",
-    )
-    position_rate_hz: float = Field(
-        default=50.0, gt=0, le=1000, description="Rate of the position packets, Hz"
-    )
-    host_clock_offset_s: Finite = Field(
-        default=0.4, description="Recording computer's clock minus UTC, seconds"
     )
     host_delay_s: NonNegative = Field(
         default=0.0003,
@@ -607,8 +583,6 @@ class TwinTls(EchoFaults):
 Side = Annotated[int, Field(ge=16, le=10_000)]
 """Pixels along a side of an image."""
 
-Quality = Annotated[int, Field(ge=1, le=100)]
-"""Quality of JPEG as Pillow and libjpeg count it."""
 
 PERSPECTIVE = ("k1", "k2", "p1", "p2", "k3")
 FISHEYE = ("k1", "k2", "k3", "k4")
@@ -647,7 +621,6 @@ class TwinLens(Section):
     noise: float = Field(
         default=1.6, ge=0, le=50, description="Sensor noise of a middle grey, steps of 8 bits; 0: none"
     )
-    jpeg_quality: Quality = Field(default=92, description="Quality of the JPEG files, 1 to 100")
 
     @model_validator(mode="after")
     def _check_distortion(self) -> Self:
@@ -694,12 +667,6 @@ class TwinDisplay(Section):
     interval_mean_s: float = Field(
         default=0.999, ge=0.1, le=60, description="Mean time between two photographs, seconds"
     )
-    interval_std_s: float = Field(
-        default=0.023,
-        ge=0,
-        le=1,
-        description="Standard deviation of the time between two photographs, seconds",
-    )
     rate_hz: float = Field(default=100.0, gt=0, le=1000, description="Rate at which the display counts, Hz")
     digits: Literal["segments", "font"] = Field(
         default="font",
@@ -725,7 +692,6 @@ class TwinDisplay(Section):
         default=0.02,
         description="Share of photographs spoiled by chance: shaken, out of focus, covered, burnt out",
     )
-    jpeg_quality: Quality = Field(default=85, description="Quality of the JPEG files, 1 to 100")
 
 
 class TwinCamera(TwinLens):
@@ -746,12 +712,6 @@ class TwinCamera(TwinLens):
         ge=0,
         le=1,
         description="Standard deviation of the true exposure about its stamp, seconds (P2 6.1.2)",
-    )
-    interval_jitter_s: float = Field(
-        default=0.004,
-        ge=0,
-        le=1,
-        description="Standard deviation of the stamps about even intervals, seconds",
     )
     exposure_s: float = Field(
         default=0.0008,
@@ -809,10 +769,6 @@ class TwinTimeLapse(Section):
     least_images: int = Field(
         default=3, ge=1, le=1000, description="Images that each target must be seen in, free and large enough"
     )
-    least_target_px: Positive = Field(
-        default=10.0, description="Least width of a target in an image that counts as seeing it, pixels"
-    )
-    jpeg_quality: int = Field(default=93, ge=1, le=100, description="Quality of the JPEG files, 1 to 100")
 
 
 # ---------------------------------------------------------------- dual fisheye
@@ -834,9 +790,6 @@ class TwinDualFisheye(Section):
         default=640, description="Side of the square of an image circle; a file holds two of them, pixels"
     )
     focal_px: Positive = Field(default=190.9, description="Camera constant of the front lens, pixels")
-    focal_difference_px: Finite = Field(
-        default=-0.8, description="Camera constant of the back lens minus that of the front lens, pixels"
-    )
     principal_offset_px: tuple[Finite, Finite] = Field(
         default=(1.5, -0.3),
         description="Principal point of the front lens minus middle of its square, pixels; that of the back "
@@ -853,12 +806,6 @@ class TwinDualFisheye(Section):
     axes_deg: float = Field(
         default=179.8, ge=170, le=180, description="Angle between the views of both lenses, degrees"
     )
-    back_turn_deg: Literal[0, 90, 180, 270] = Field(
-        default=180, description="Clockwise turn that sets the back lens upright, degrees"
-    )
-    back_exposure: Positive = Field(
-        default=1.12, le=4, description="Light of the back lens over that of the front lens"
-    )
     vignetting: Share = Field(default=0.25, description="Light that is missing at the rim of the circles")
     sharpness_px: float = Field(
         default=0.6, ge=0, le=10, description="Sigma of the Gaussian point spread function, pixels"
@@ -866,7 +813,6 @@ class TwinDualFisheye(Section):
     noise: float = Field(
         default=1.6, ge=0, le=50, description="Sensor noise of a middle grey, steps of 8 bits; 0: none"
     )
-    jpeg_quality: Quality = Field(default=93, description="Quality of the JPEG files, 1 to 100")
     glare: bool = Field(default=False, description="The sun's disc and its glow in sky and water")
     rate_hz: float = Field(default=1.0, gt=0, le=10, description="Exposures per second")
     images: int = Field(

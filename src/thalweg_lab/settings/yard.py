@@ -44,12 +44,6 @@ class TwinFieldRun(Section):
         le=10,
         description="Greatest distance of the boat from the middle of the yard, metres",
     )
-    turn_of_eight_degpmin: float = Field(
-        default=80.0,
-        ge=-360,
-        le=360,
-        description="Rate at which the figure of eight turns about its middle, degrees/min",
-    )
 
 
 class TwinFieldEffects(Section):
@@ -69,39 +63,8 @@ class TwinField(Section):
     half_angle_deg: float = Field(
         default=25.0, ge=10, le=45, description="Nominal angle between axis and surface of the cones, degrees"
     )
-    sigma_half_angle_deg: float = Field(
-        default=0.1, ge=0, le=2, description="Scatter of the built half angles, degrees"
-    )
-    cone_length_m: float = Field(
-        default=0.70, ge=0.3, le=2, description="From the apex to the base along the axis, metres"
-    )
-    cone_tip_m: float = Field(
-        default=0.05,
-        ge=0.005,
-        le=0.25,
-        description="Where the blunt tip of the cones lies, from the apex along the axis, metres",
-    )
     module_m: float = Field(
         default=0.012, ge=0.002, le=0.02, description="Side of a module of the markers on cones, metres"
-    )
-    flat_module_m: float = Field(
-        default=0.016, ge=0.002, le=0.05, description="Side of a module of the other markers, metres"
-    )
-    n_boards: int = Field(
-        default=36,
-        ge=0,
-        le=40,
-        description="Markers on boards on posts around the yard; targets and bars come on top",
-    )
-    n_ground: int = Field(default=8, ge=0, le=12, description="Markers on the ground")
-    fence_m: float = Field(
-        default=12.0, ge=9, le=40, description="Distance of the fence from the middle, metres"
-    )
-    bar_length_m: float = Field(
-        default=1.5, ge=0.5, le=3, description="Nominal length of the three scale bars, metres"
-    )
-    sigma_bar_m: NonNegative = Field(
-        default=0.00003, le=0.01, description="Error of the certificates of the scale bars, metres"
     )
     tour: Literal["in turn", "planned"] = Field(
         default="in turn",
@@ -111,22 +74,6 @@ class TwinField(Section):
     n_targets: int = Field(default=6, ge=0, le=6, description="Markers that were measured with RTK")
     sigma_target_m: Sigma3 = Field(
         default=(0.008, 0.008, 0.012), description="Error east, north, up of these measurements, metres"
-    )
-    antenna_offset_m: float = Field(
-        default=-0.030,
-        ge=-0.5,
-        le=0.5,
-        description="Phase centre above the antenna's marker along the normal of the print, metres; "
-        "negative: the marker lies on top of the antenna",
-    )
-    sigma_antenna_offset_m: float = Field(
-        default=0.001, ge=0, le=0.05, description="Error of the stated offset, metres"
-    )
-    ics_height_m: float = Field(
-        default=0.6,
-        ge=0.2,
-        le=2,
-        description="Height of the ics origin above the ground on the trolley, metres",
     )
     positions: tuple[StaticPosition, ...] = Field(
         default=(
@@ -154,11 +101,6 @@ class TwinSheetStrip(Section):
     lines: int = Field(default=24, ge=3, le=400, description="Images of the strip")
     rate_hz: float = Field(
         default=50.0, ge=1, le=100, description="Images a second; at 1.2 m/s, 50 of them are 24 mm apart"
-    )
-    begin_s: NonNegative | None = Field(
-        default=None,
-        description="First image after the start of the lidar log, seconds; null: where the boat is slow and "
-        "goes straight",
     )
     depth_m: float = Field(
         default=0.13, ge=0.05, le=0.25, description="Mean depth of the bed below the window, metres"

@@ -361,7 +361,7 @@ def record_strip(
     true = true_mounts({"light_sheet": mount}, seed, on=twin.effects.mount_errors)["light_sheet"]
     motion, place = Voyage(twin, seed), Rigid.from_mount(true)
     planned = np.arange(settings.lines) / settings.rate_hz
-    begin = quiet_begin_s(motion, twin, float(planned[-1])) if settings.begin_s is None else settings.begin_s
+    begin = quiet_begin_s(motion, twin, float(planned[-1]))
     shots = trigger(
         seed, planned, start_gps_s(twin) + begin, name="strip", rate_hz=settings.rate_hz, jitter_s=0.001
     )

@@ -32,6 +32,8 @@ _STEP_M: Final = 1.0
 _AROUND_M: Final = 12.0
 _LEAST_COSINE: Final = 0.42
 """A board seen at more than 65 degrees from its normal does not count as seen."""
+_LEAST_TARGET_PX: Final = 10.0
+"""Least width of a target in an image that counts as seeing it."""
 _MARGIN_PX: Final = 12.0
 _POST_M: Final = 0.05
 _BEHIND_BOARD_M: Final = 0.015
@@ -159,7 +161,7 @@ def place_targets(
             f"{settings.least_images} images",
             expected=f"{n} places for n_targets",
             where="twin.time_lapse.n_targets",
-            cure="Lower n_targets, least_images or least_target_px, raise target_size_m or rate_hz, or set "
+            cure="Lower n_targets or least_images, raise target_size_m or rate_hz, or set "
             "side to the bank that the camera looks at",
         )
     return Targets(
@@ -239,7 +241,7 @@ def _times_seen(
         way = pose.shift_m - centre
         range_m = np.linalg.norm(way, axis=1)
         facing = np.einsum("ij,ij->i", way, normal) / range_m
-        large = focal * settings.target_size_m * facing / range_m >= settings.least_target_px
+        large = focal * settings.target_size_m * facing / range_m >= _LEAST_TARGET_PX
         some = np.flatnonzero(large & (facing > _LEAST_COSINE))
         if not len(some):
             continue

@@ -370,7 +370,7 @@ class TimeLapse:
         """Render and write image k; gives the name of the file."""
         shot = self.plan.shots[k]
         facts = self._facts(shot)
-        write_jpeg(folder / shot.name, self.render_image(k), facts, quality=self.settings.jpeg_quality)
+        write_jpeg(folder / shot.name, self.render_image(k), facts, quality=93)
         return shot.name
 
     def _facts(self, shot: Shot) -> PhotoFacts:

@@ -18,7 +18,7 @@ from thalweg.core import ArrayF, ConfigError, CoverageError, Rigid, gps_from_uni
 from thalweg_lab.random_numbers import generator
 from thalweg_lab.reach import River
 from thalweg_lab.settings import TwinBoat, TwinConfig, TwinFieldRun
-from thalweg_lab.yard import field_of
+from thalweg_lab.yard import ICS_HEIGHT_M, field_of
 
 PAD_S: Final = 5.0
 """The motion is defined this long before and after the lidar log."""
@@ -43,6 +43,8 @@ _PEAK: Final = 15.0 / 8.0
 _CLOSING_RAD: Final = float(jn_zeros(0, 1)[0])
 """First zero of J0: the amplitude at which a sine-generated curve closes to an eight."""
 _ORDERS: Final = np.array([n for n in range(-30, 31) if n != 0])
+_TURN_OF_EIGHT_DEGPMIN: Final = 80.0
+"""Rate at which the figure of eight turns about its middle."""
 _SWING: Final = 0.35
 """Share by which the speed swings: slow in the loops, fast where they cross."""
 _START_SPACING_S: Final = 120.0
@@ -81,7 +83,7 @@ def _course(run: TwinFieldRun, t_s: ArrayF, duration_s: float, start_rad: float,
     slowness = CubicSpline(phase, 1.0 / (rate * (1.0 - _SWING * np.cos(2 * (phase + start_rad)))))
     time = slowness.antiderivative()(phase)
     at = CubicSpline(time, phase)(t_s - t_s[0]) + start_rad
-    turn = turned_rad + np.deg2rad(run.turn_of_eight_degpmin) * t_s / 60.0
+    turn = turned_rad + np.deg2rad(_TURN_OF_EIGHT_DEGPMIN) * t_s / 60.0
     return np.asarray(length_m * eight(at) * np.exp(1j * turn))
 
 
@@ -559,7 +561,7 @@ class FieldRun(OnCourse):
         velocity = self._xy(t, 1)
         self._course = CubicSpline(t, np.unwrap(np.arctan2(velocity[:, 1], velocity[:, 0])))
         self._sways = draw_sways(rng, config.boat)
-        self._level_m = field.ics_height_m
+        self._level_m = ICS_HEIGHT_M
         # A trolley does not heel.
         self._heel_s = 0.0
 
@@ -617,7 +619,7 @@ def standing(config: TwinConfig, number: int) -> Standing:
     field = field_of(config)
     place = field.positions[number - 1]
     roll, pitch, heading = np.deg2rad([place.roll_deg, place.pitch_deg, place.heading_deg]).tolist()
-    at = np.array([place.east_m, place.north_m, field.ics_height_m])
+    at = np.array([place.east_m, place.north_m, ICS_HEIGHT_M])
     return Standing(static_recording(config, number), at, (roll, pitch, heading))
 
 

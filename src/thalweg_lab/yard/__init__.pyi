@@ -1,6 +1,10 @@
 from .layout import (
     ANTENNA as ANTENNA,
+    ANTENNA_OFFSET_M as ANTENNA_OFFSET_M,
+    CONE_M as CONE_M,
     FLAT as FLAT,
+    FLAT_MODULE_M as FLAT_MODULE_M,
+    ICS_HEIGHT_M as ICS_HEIGHT_M,
     Field as Field,
     FieldCone as FieldCone,
     Plane as Plane,

@@ -36,12 +36,26 @@ _RINGS: Final = ((0.36, (-99, -33, 33, 99)), (0.66, (-66, 0, 66, 132)))
 _EYE_WCS_M: Final = np.array([0.0, 0.0, 0.8])
 
 TARGETS: Final = tuple(range(64, 70))
-BOARDS: Final = (*range(70, 80), *range(86, 98), *range(112, 130))
+BOARDS: Final = (*range(70, 80), *range(86, 98), *range(112, 126))
 BARS: Final = ((80, 81), (82, 83), (84, 85))
-GROUND: Final = tuple(range(99, 111))
+GROUND: Final = tuple(range(99, 107))
 ANTENNA: Final = 98
 FLAT: Final = (64, 149)
 """Ids of the markers that are not on cones."""
+_SIGMA_HALF_ANGLE_DEG: Final = 0.1
+"""Scatter of the built half angles of the cones."""
+CONE_M: Final = (0.05, 0.70)
+"""From the apex along the axis: blunt tip and base of the cones."""
+FLAT_MODULE_M: Final = 0.016
+"""Side of a module of the markers that are not on cones."""
+FENCE_M: Final = 12.0
+"""Distance of the fence from the middle."""
+BAR_M: Final = 1.5
+"""Nominal length of the scale bars."""
+ANTENNA_OFFSET_M: Final = -0.030
+"""Phase centre above the antenna's marker along the normal of the print: the marker lies on top of it."""
+ICS_HEIGHT_M: Final = 0.6
+"""Height of the ics origin above the ground on the trolley."""
 THICK_M: Final = 0.012
 """Of a board."""
 _GAP_DEG: Final = 1.5
@@ -357,9 +371,9 @@ def build_field(config: TwinConfig, seed: int) -> Field:
         cone = _cone(field, name, number, rng)
         cones.append(cone)
         sheets += _sheets_on(field, cone, rng)
-    all_bars, bar_boards, bar_sheets = bars(field, generator(seed, "field bars"))
+    all_bars, bar_boards, bar_sheets = bars(generator(seed, "field bars"))
     flat_boards, flat_sheets = boards(field, cones, bar_boards, generator(seed, "field boards"))
-    sheets += bar_sheets + flat_sheets + ground_sheets(field, generator(seed, "field ground"))
+    sheets += bar_sheets + flat_sheets + ground_sheets(generator(seed, "field ground"))
     targets = tuple(Target(name=f"T{i + 1}", marker=64 + i) for i in range(field.n_targets))
     return Field(
         config=field,
@@ -388,23 +402,21 @@ def field_of(config: TwinConfig) -> TwinField:
     return config.field
 
 
-def antenna_sheet(config: TwinConfig, T_wcs_ics: Rigid, lever_ics_antenna_m: ArrayF) -> Sheet:
+def antenna_sheet(T_wcs_ics: Rigid, lever_ics_antenna_m: ArrayF) -> Sheet:
     """The antenna's marker on the boat: it looks up, and the upper side of the tag looks forward.
 
     Parameters
     ----------
-    config : section ``twin``.
     T_wcs_ics : true pose of the boat.
     lever_ics_antenna_m : (3,) true phase centre in the body frame.
     """
-    field = field_of(config)
-    middle = np.asarray(lever_ics_antenna_m) + np.array([0.0, 0.0, field.antenna_offset_m])
+    middle = np.asarray(lever_ics_antenna_m) + np.array([0.0, 0.0, ANTENNA_OFFSET_M])
     plane = Plane(
         origin_wcs_m=T_wcs_ics.apply(middle[None])[0],
         right_wcs=T_wcs_ics.R @ np.array([0.0, 1.0, 0.0]),
         down_wcs=T_wcs_ics.R @ np.array([-1.0, 0.0, 0.0]),
     )
-    return Sheet(marker=ANTENNA, module_m=field.flat_module_m, thing="boat", surface=plane)
+    return Sheet(marker=ANTENNA, module_m=FLAT_MODULE_M, thing="boat", surface=plane)
 
 
 def _cone(field: TwinField, name: str, number: int, rng: np.random.Generator) -> FieldCone:
@@ -424,12 +436,12 @@ def _cone(field: TwinField, name: str, number: int, rng: np.random.Generator) ->
     zero = zero - (zero @ axis) * axis
     return FieldCone(
         name=name,
-        apex_wcs_m=middle - (field.cone_tip_m + field.cone_length_m) / 2 * axis,
+        apex_wcs_m=middle - sum(CONE_M) / 2 * axis,
         axis_wcs=axis,
         zero_wcs=zero / np.linalg.norm(zero),
-        half_angle_rad=float(np.deg2rad(field.half_angle_deg + field.sigma_half_angle_deg * half)),
-        start_m=field.cone_tip_m,
-        length_m=field.cone_length_m,
+        half_angle_rad=float(np.deg2rad(field.half_angle_deg + _SIGMA_HALF_ANGLE_DEG * half)),
+        start_m=CONE_M[0],
+        length_m=CONE_M[1],
         markers=tuple(range(8 * number, 8 * number + 8)),
     )
 
@@ -437,7 +449,7 @@ def _cone(field: TwinField, name: str, number: int, rng: np.random.Generator) ->
 def _sheets_on(field: TwinField, cone: FieldCone, rng: np.random.Generator) -> list[Sheet]:
     """Eight sheets in two rings, each turned by a multiple of 90 degrees and a little."""
     ids = iter(cone.markers)
-    slant_m = field.cone_length_m / np.cos(cone.half_angle_rad)
+    slant_m = CONE_M[1] / np.cos(cone.half_angle_rad)
     scale = slant_m / (0.70 / np.cos(np.deg2rad(25.0)))
     return [
         Sheet(
@@ -470,21 +482,21 @@ def facing(middle_wcs_m: ArrayF, turn_rad: float, tilt_deg: ArrayF) -> Plane:
     return Plane(origin_wcs_m=middle_wcs_m, right_wcs=axes[:, 0], down_wcs=axes[:, 1])
 
 
-def bars(field: TwinField, rng: np.random.Generator) -> tuple[list[Bar], list[Board], list[Sheet]]:
+def bars(rng: np.random.Generator) -> tuple[list[Bar], list[Board], list[Sheet]]:
     """Three scale bars of a sheet at each end; their true lengths are some tenths of a millimetre off."""
     made, boards_, sheets = [], [], []
     for i, (pair, (bearing, distance, height, slope)) in enumerate(zip(BARS, _BAR_PLACES, strict=True)):
-        length = field.bar_length_m + rng.normal(0.0, 2e-4)
+        length = BAR_M + rng.normal(0.0, 2e-4)
         middle = _place(bearing, distance, height)
         plane = facing(middle, np.deg2rad(slope), rng.normal(0.0, 4.0, 2))
-        half = 0.5 * field.bar_length_m + 6.5 * field.flat_module_m
+        half = 0.5 * BAR_M + 6.5 * FLAT_MODULE_M
         name = f"bar S{i + 1}"
-        boards_.append(Board(name=name, plane=plane, half_m=(half, 6.5 * field.flat_module_m)))
+        boards_.append(Board(name=name, plane=plane, half_m=(half, 6.5 * FLAT_MODULE_M)))
         for marker, side in zip(pair, (-0.5, 0.5), strict=True):
             sheets.append(
                 Sheet(
                     marker=marker,
-                    module_m=field.flat_module_m,
+                    module_m=FLAT_MODULE_M,
                     thing=name,
                     surface=plane,
                     place=(side * length, 0.0),
@@ -503,8 +515,8 @@ def boards(
     ------
     ConfigError : there is no room for so many.
     """
-    ids = [*TARGETS[: field.n_targets], *BOARDS[: field.n_boards]]
-    half = 6.5 * field.flat_module_m
+    ids = [*TARGETS[: field.n_targets], *BOARDS]
+    half = 6.5 * FLAT_MODULE_M
     seen = [_seen(c.middle_wcs_m, 0.45) for c in cones]
     seen += [
         _seen(b.plane.roll(np.array([[x * b.half_m[0], 0.0]]), (0.0, 0.0))[0], 0.25)
@@ -516,28 +528,28 @@ def boards(
         if i < field.n_targets:
             number, count = i, field.n_targets
         else:
-            number, count = i - field.n_targets, max(field.n_boards, 1)
-        middle = _free_place(field, number / count, half, seen, rng)
+            number, count = i - field.n_targets, len(BOARDS)
+        middle = _free_place(number / count, half, seen, rng)
         seen.append(_seen(middle, 1.4 * half))
         plane = facing(middle, rng.uniform(-0.3, 0.3), rng.normal(0.0, 8.0, 2))
         name = f"board {marker}"
         made.append(Board(name=name, plane=plane, half_m=(half, half)))
-        sheets.append(Sheet(marker=marker, module_m=field.flat_module_m, thing=name, surface=plane))
+        sheets.append(Sheet(marker=marker, module_m=FLAT_MODULE_M, thing=name, surface=plane))
     return made, sheets
 
 
-def ground_sheets(field: TwinField, rng: np.random.Generator) -> list[Sheet]:
+def ground_sheets(rng: np.random.Generator) -> list[Sheet]:
     """Sheets that lie on the ground around the boat."""
     sheets = []
-    for i, marker in enumerate(GROUND[: field.n_ground]):
-        bearing = 360.0 * (i + 0.5) / field.n_ground + rng.uniform(-10, 10)
+    for i, marker in enumerate(GROUND):
+        bearing = 360.0 * (i + 0.5) / len(GROUND) + rng.uniform(-10, 10)
         turn = rng.uniform(0, 2 * np.pi)
         plane = Plane(
             origin_wcs_m=_place(bearing, rng.uniform(2.2, 3.3), 0.0),
             right_wcs=np.array([np.cos(turn), np.sin(turn), 0.0]),
             down_wcs=np.array([np.sin(turn), -np.cos(turn), 0.0]),
         )
-        sheets.append(Sheet(marker=marker, module_m=field.flat_module_m, thing="ground", surface=plane))
+        sheets.append(Sheet(marker=marker, module_m=FLAT_MODULE_M, thing="ground", surface=plane))
     return sheets
 
 
@@ -554,11 +566,7 @@ def _seen(place_wcs_m: ArrayF, radius_m: float) -> tuple[ArrayF, float]:
 
 
 def _free_place(
-    field: TwinField,
-    share: float,
-    half_m: float,
-    seen: Sequence[tuple[ArrayF, float]],
-    rng: np.random.Generator,
+    share: float, half_m: float, seen: Sequence[tuple[ArrayF, float]], rng: np.random.Generator
 ) -> ArrayF:
     """A place near a share of the full turn from which no other thing is hidden."""
     directions = np.stack([d for d, _ in seen])
@@ -566,16 +574,16 @@ def _free_place(
     for attempt in range(_TRIES):
         spread = 8.0 + 0.02 * attempt
         bearing = 360.0 * share + rng.uniform(-spread, spread)
-        middle = _place(bearing, rng.uniform(4.3, min(8.0, field.fence_m - 2.0)), rng.uniform(0.3, 2.2))
+        middle = _place(bearing, rng.uniform(4.3, 8.0), rng.uniform(0.3, 2.2))
         way, radius = _seen(middle, 1.4 * half_m)
         apart = np.arccos(np.clip(directions @ way, -1.0, 1.0))
         if np.all(apart > radii + radius + np.deg2rad(_GAP_DEG)):
             return middle
     raise ConfigError(
-        f"no room for {field.n_boards} boards",
+        f"no room for {len(BOARDS)} boards",
         expected="boards that hide neither cones nor each other",
-        where="twin.field.n_boards",
-        cure="Lower twin.field.n_boards or twin.field.flat_module_m",
+        where="twin.field.n_targets",
+        cure="Lower twin.field.n_targets",
     )
 
 

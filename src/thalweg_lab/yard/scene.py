@@ -23,6 +23,9 @@ from thalweg_lab.river import (
 )
 from thalweg_lab.settings import TwinConfig
 from thalweg_lab.yard.layout import (
+    ANTENNA_OFFSET_M,
+    FENCE_M,
+    ICS_HEIGHT_M,
     THICK_M,
     Board,
     Field,
@@ -30,7 +33,6 @@ from thalweg_lab.yard.layout import (
     Sheet,
     antenna_sheet,
     build_field,
-    field_of,
 )
 
 DRY_M: Final = -1000.0
@@ -146,10 +148,10 @@ def field_scene(field: Field, *, people_wcs_m: ArrayF | None = None) -> FieldSce
     people_wcs_m : (n, 2) where people stand, or None.
     """
     out = _Things()
-    reach = field.config.fence_m + 1.0
+    reach = FENCE_M + 1.0
     ground = np.array([[x, y, 0.0] for y in (-reach, reach) for x in (-reach, reach)])
     out.add("ground", ground, np.array([[0, 1, 3], [0, 3, 2]]), Material.GRAVEL)
-    _add_fence(out, field.config.fence_m)
+    _add_fence(out, FENCE_M)
     for cone in field.cones:
         out.add(cone.name, *cone.mesh(), Material.WALL)
         _add_post(out, *_cone_post(cone))
@@ -271,29 +273,25 @@ def yard_of(config: TwinConfig, seed: int, recording: str) -> Yard:
     return Yard.of(scene, field.sheets)
 
 
-def with_boat(
-    yard: Yard, config: TwinConfig, mounts: Mapping[str, Any], T_wcs_ics: Rigid, *, camera: bool
-) -> Yard:
+def with_boat(yard: Yard, mounts: Mapping[str, Any], T_wcs_ics: Rigid, *, camera: bool) -> Yard:
     """The yard with the boat on its trolley and the marker on its antenna.
 
     Parameters
     ----------
     yard : without it.
-    config : section ``twin`` with ``field``.
     mounts : true mounts, with ``camera``, ``lidar`` and ``antenna``.
     T_wcs_ics : true pose of the boat.
     camera : whether the boat's own camera is there; it does not see itself.
     """
-    field = field_of(config)
     levers = {
         name: np.asarray(mounts[name]["lever_ics_m"], np.float64) for name in ("antenna", "lidar", "camera")
     }
-    boat = boat_mesh(levers["antenna"], disc_below_m=field.antenna_offset_m, waterline_m=_WATERLINE_M)
+    boat = boat_mesh(levers["antenna"], disc_below_m=ANTENNA_OFFSET_M, waterline_m=_WATERLINE_M)
     sensors = sensor_mesh(
         levers["antenna"], levers["lidar"], levers["camera"] if camera else None, waterline_m=_WATERLINE_M
     )
-    trolley = trolley_mesh(waterline_m=_WATERLINE_M, ground_m=field.ics_height_m)
-    sheet = antenna_sheet(config, T_wcs_ics, levers["antenna"])
+    trolley = trolley_mesh(waterline_m=_WATERLINE_M, ground_m=ICS_HEIGHT_M)
+    sheet = antenna_sheet(T_wcs_ics, levers["antenna"])
     out = yard.with_thing("boat", T_wcs_ics.apply(boat[0]), boat[1], [sheet])
     for name, (vertices, faces) in (("sensors", sensors), ("trolley", trolley)):
         out = out.with_thing(name, T_wcs_ics.apply(vertices), faces)

@@ -175,7 +175,7 @@ def _draw(
     images = _taken(config, seed, kind, mounts, poses, smears, chosen)
     for k, image in zip(chosen, images, strict=True):
         facts = _facts(config, kind, int(times.stamp_us[k]))
-        write_jpeg(folder / names[k], image, facts, quality=lens.jpeg_quality)
+        write_jpeg(folder / names[k], image, facts, quality=92)
 
 
 def _planned(
@@ -262,9 +262,9 @@ def _taken(
             photographer = usual.with_yard(yard_of(config, seed, f"position {k + 1}"))
         if kind == "reference" and k >= len(poses) - BOAT_IMAGES:
             boat = standing(config, 1).T_wcs_ics
-            photographer = usual.with_yard(with_boat(usual.yard, config, mounts, boat, camera=True))
+            photographer = usual.with_yard(with_boat(usual.yard, mounts, boat, camera=True))
         elif kind != "reference" and lens.model == "fisheye":
-            yard = with_boat(photographer.yard, config, mounts, pose @ T_ccs_ics, camera=False)
+            yard = with_boat(photographer.yard, mounts, pose @ T_ccs_ics, camera=False)
             photographer = photographer.with_yard(yard)
         seen = photographer.see(rays, pose)
         rng = generator(seed, f"field images {kind} {k}")

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from tests.lab.field.conftest import small
 from thalweg.core import Rigid, exp_rotation
 from thalweg_lab.yard.layout import SIDES, antenna_sheet
 
@@ -112,10 +111,10 @@ def test_bars_have_their_true_length_between_first_saddles(field):
 def test_the_antennas_marker_lies_on_the_antenna():
     pose = Rigid(R=exp_rotation([0.1, -0.2, 2.0]), shift_m=np.array([1.0, 2.0, 0.6]))
     lever = np.array([0.1, 0.0, -0.45])
-    sheet = antenna_sheet(small(), pose, lever)
+    sheet = antenna_sheet(pose, lever)
     assert (sheet.marker, sheet.thing) == (98, "boat")
     # field.yaml: the phase centre is offset_m above the centre along the normal of the print.
-    centre = sheet.centre_wcs_m() + small().field.antenna_offset_m * sheet.normal_wcs()
+    centre = sheet.centre_wcs_m() + -0.030 * sheet.normal_wcs()
     assert_allclose(centre, pose.apply(lever[None])[0], atol=1e-13)
     assert_allclose(pose.R.T @ sheet.normal_wcs(), [0, 0, -1], atol=1e-9)
     forward = sheet.to_wcs([[5, 1]])[0] - sheet.to_wcs([[5, 9]])[0]
