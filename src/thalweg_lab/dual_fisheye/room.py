@@ -97,9 +97,7 @@ def room_photographer() -> Photographer:
     return Photographer(yard, _SUN)
 
 
-def room_marks(
-    rig: TrueRig, seed: int, n: int, *, sigma_px: float, least_px: float = 1.6
-) -> tuple[pd.DataFrame, list[Rigid]]:
+def room_marks(rig: TrueRig, seed: int, n: int, *, sigma_px: float) -> tuple[pd.DataFrame, list[Rigid]]:
     """Marks of the room as a detector would measure them, without pictures, and the poses (for studies).
 
     Parameters
@@ -107,7 +105,6 @@ def room_marks(
     rig : the true one.
     seed, n : of the poses, and how many exposures.
     sigma_px : noise of each coordinate.
-    least_px : a sheet counts if a module is so large in the picture.
 
     Returns
     -------
@@ -126,7 +123,7 @@ def room_marks(
                     continue
                 xy = rig.cameras[name].project(local)
                 sides = np.linalg.norm(xy - np.roll(xy, 1, axis=0), axis=1) / (SHEET_MODULES - 2)
-                if not sides.min() > least_px or not rig.cameras[name].inside(xy, 3.0).all():
+                if not sides.min() > 1.6 or not rig.cameras[name].inside(xy, 3.0).all():
                     continue
                 seen = xy + sigma_px * rng.standard_normal(xy.shape)
                 for corner in range(4):

@@ -56,13 +56,13 @@ def _arrow(ax: Axes, start: ArrayF, end: ArrayF, words: str, *, colour: str, awa
     _words(ax, place, words, colour=colour)
 
 
-def _words(ax: Axes, place: ArrayF, words: str, *, colour: str = "black", size: float = 9.0) -> None:
+def _words(ax: Axes, place: ArrayF, words: str, *, colour: str = "black") -> None:
     ax.text(
         float(place[0]),
         float(place[1]),
         words,
         color=colour,
-        fontsize=size,
+        fontsize=9.0,
         ha="center",
         va="center",
         path_effects=HALO,

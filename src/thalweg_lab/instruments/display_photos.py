@@ -417,9 +417,7 @@ def shown_in(begin_s: float, exposure_s: float, rate_hz: float, rows: AnyArray) 
     return counts, shares / shares.sum(axis=0)
 
 
-def simulate_display(
-    config: TwinConfig, seed: int, out_folder: Path, out_truth: Path, *, threads: int = 2
-) -> pd.DataFrame:
+def simulate_display(config: TwinConfig, seed: int, out_folder: Path, out_truth: Path) -> pd.DataFrame:
     """Write all photographs and the truth about them.
 
     Parameters
@@ -428,7 +426,6 @@ def simulate_display(
     seed : seed of the campaign.
     out_folder : for ``P1000001.JPG`` and so on, numbered as a camera does.
     out_truth : table kind ``display_truth``, ``.parquet``.
-    threads : photographs at a time; the files do not depend on it.
 
     Returns
     -------
@@ -441,7 +438,7 @@ def simulate_display(
     look = DisplayLook.of(camera.display)
     spoils = _spoils(camera.display, seed, len(times.t_gps_s))
     rows = []
-    with ThreadPoolExecutor(threads) as pool:
+    with ThreadPoolExecutor(2) as pool:
         made = pool.map(
             lambda k: _photo(camera, look, seed, times.of_day_s, int(k), int(spoils[k])), range(len(spoils))
         )

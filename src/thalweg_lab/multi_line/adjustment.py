@@ -81,9 +81,7 @@ class LineCalibration:
         return root_mean_square(self.adjusted.residuals["lines"])
 
 
-def calibrate_lines(
-    sensor: Sensor, points: LevelPoints, model: LineModel, *, estimate_deviations: bool = True
-) -> LineCalibration:
+def calibrate_lines(sensor: Sensor, points: LevelPoints, model: LineModel) -> LineCalibration:
     """Adjust a model to line points.
 
     Parameters
@@ -91,7 +89,6 @@ def calibrate_lines(
     sensor : camera and window as calibrated, taken as known.
     points : on levels.
     model : from `thalweg_lab.multi_line.models.line_model`.
-    estimate_deviations : whether the variances of line deviations are estimated, or their start is kept.
 
     Raises
     ------
@@ -115,7 +112,7 @@ def calibrate_lines(
         start = got.x
         new = dict(sigmas)
         for name in ESTIMATED:
-            if name in sigmas and estimate_deviations:
+            if name in sigmas:
                 first = model.priors[name].sigma
                 new[name] = max(sigmas[name] * got.group_sigma0[name], _SMALLEST * first)
         changed = max((abs(new[name] / sigmas[name] - 1) for name in sigmas), default=0.0)

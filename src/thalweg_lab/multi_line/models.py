@@ -343,20 +343,17 @@ def fan_directions(a_rad: ArrayF, v: ArrayF) -> tuple[ArrayF, ArrayF, ArrayF]:
     )
 
 
-def line_model(
-    kind: Kind, nominal: NominalDiode, *, start: ArrayF | None = None, fixed_fans: bool = True
-) -> LineModel:
+def line_model(kind: Kind, nominal: NominalDiode, *, fixed_fans: bool = True) -> LineModel:
     """A model of `KINDS`.
 
     Parameters
     ----------
-    start : (u,) approximate values; else from the nominal diode.
     fixed_fans : whether `individual` keeps the rotation of a fan in its own plane. Without it the model has
         the 6 n parameters of the thesis, and an adjustment refuses it.
 
     Raises
     ------
-    GeometryError : an unknown kind, or a start of the wrong length.
+    GeometryError : an unknown kind.
     """
     makers = {
         "individual": lambda: _individual(nominal, fixed_fans),
@@ -369,14 +366,9 @@ def line_model(
     }
     if kind not in makers:
         raise GeometryError(f"model of lines {kind!r}", expected=f"one of {', '.join(KINDS)}")
-    names, first, function, priors = makers[kind]()
-    begin = first if start is None else np.asarray(start, dtype=np.float64)
-    if begin.shape != first.shape:
-        raise GeometryError(
-            f"{begin.size} approximate values for the model {kind!r}", expected=f"{first.size} numbers"
-        )
+    names, start, function, priors = makers[kind]()
     return LineModel(
-        kind=kind, names=names, start=begin, function=function, labels=nominal.labels, priors=priors
+        kind=kind, names=names, start=start, function=function, labels=nominal.labels, priors=priors
     )
 
 

@@ -127,6 +127,9 @@ COLUMNS: Final = (
     "note",
     "file",
 )
+_AS_WRITTEN: Final = (
+    "name", "section", "where", "quantity", "printed", "unit", "kind", "rule", "basis", "put_in", "note",
+)  # fmt: skip
 BUDGETS: Final = ROOT / "resources" / "budgets"
 HALVING_STEP_PX: Final = 16
 """Every so many-th pixel is intersected by the halving of the papers."""
@@ -571,19 +574,10 @@ def _row(entry: Entry, found: Found) -> dict[str, Any]:
     bound = value if isinstance(value, float) and entry.rule in ("at most", "at least") else 0.0
     pair = isinstance(value, tuple)
     return {
+        **{key: getattr(entry, key) for key in _AS_WRITTEN},
         "rows": " ".join(entry.rows),
-        "name": entry.name,
-        "section": entry.section,
-        "where": entry.where,
-        "quantity": entry.quantity,
-        "printed": entry.printed,
         "value": f"{value[0]:g} to {value[1]:g}" if isinstance(value, tuple) else value,
-        "unit": entry.unit,
         "half_unit": entry.half_unit if numbers or pair else float("nan"),
-        "kind": entry.kind,
-        "rule": entry.rule,
-        "basis": entry.basis,
-        "put_in": entry.put_in,
         "ours": found.value,
         "sigma": found.sigma,
         "n": found.n,
@@ -597,7 +591,6 @@ def _row(entry: Entry, found: Found) -> dict[str, Any]:
         "reason": _reason(entry, found, verdict),
         "command": found.command if verdict == NO_RESULT else "",
         "source": _source(entry),
-        "note": entry.note,
         "file": found.file,
     }
 

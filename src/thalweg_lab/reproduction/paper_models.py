@@ -53,7 +53,7 @@ def refract_as_printed(directions: ArrayLike, normal: ArrayLike, n_1: float, n_2
     return np.asarray(r * v + (r * c - np.sqrt(1.0 + r * r * (c - 1.0) ** 2))[:, None] * N)
 
 
-def halved(sensor: Sensor, xy_px: ArrayF, threshold_mm: float, *, most: int = 50) -> tuple[ArrayF, ArrayF]:
+def halved(sensor: Sensor, xy_px: ArrayF, threshold_mm: float) -> tuple[ArrayF, ArrayF]:
     """Points of pixels as the papers find them (P3 2.3, P4 4.2), with the right law of refraction.
 
     The fan is halved around the half whose middle passes nearer to the image ray: distances without a sign,
@@ -63,7 +63,6 @@ def halved(sensor: Sensor, xy_px: ArrayF, threshold_mm: float, *, most: int = 50
     ----------
     xy_px : (n, 2) pixels.
     threshold_mm : distance of the rays below which the halving of a pixel ends.
-    most : halvings.
 
     Returns
     -------
@@ -76,7 +75,7 @@ def halved(sensor: Sensor, xy_px: ArrayF, threshold_mm: float, *, most: int = 50
     start, p = image.at_depth(0.0), image.directions()
     low, high = np.full(len(xy_px), -sheet.half_angle_rad), np.full(len(xy_px), sheet.half_angle_rad)
     points, skew = np.full((len(xy_px), 3), np.nan), np.full(len(xy_px), np.inf)
-    for _ in range(most):
+    for _ in range(50):
         open_ = skew > threshold_mm
         middle = 0.5 * (low + high)
         found = []
@@ -167,11 +166,7 @@ def paper_3_table(x: ArrayF) -> ArrayF:
 
 
 def pose_source_table(
-    sensor: Sensor,
-    *,
-    depths_mm: Sequence[float] = (50.0, 125.0, 200.0),
-    sigma_px: float = 0.15,
-    sources: Mapping[str, tuple[float, float]] = SOURCES,
+    sensor: Sensor, *, depths_mm: Sequence[float] = (50.0, 125.0, 200.0), sigma_px: float = 0.15
 ) -> pd.DataFrame:
     """What each source of poses makes of a single profile's accuracy (P4 4.2.1, 7.3).
 
@@ -183,7 +178,6 @@ def pose_source_table(
     sensor : its covariance counts too; zeros: the image measurement alone.
     depths_mm : below the window.
     sigma_px : of the line, along the row.
-    sources : position sigma in mm and sigma of each turn in degrees.
 
     Raises
     ------
@@ -200,7 +194,7 @@ def pose_source_table(
     alone = own[:, :, None] * own[:, None, :] + shared @ np.swapaxes(shared, 1, 2)
     J = by_pose(found.xyz_lcs_mm)
     rows = []
-    for name, (sigma_mm, sigma_deg) in sources.items():
+    for name, (sigma_mm, sigma_deg) in SOURCES.items():
         C = np.diag([sigma_mm**2] * 3 + [np.deg2rad(sigma_deg) ** 2] * 3)
         total = alone + J @ C @ np.swapaxes(J, 1, 2)
         for k, depth in enumerate(depths_mm):

@@ -136,9 +136,9 @@ def _reached_by_sigma(row: pd.DataFrame) -> bool:
     return max(low, 1 - share) <= min(high, 1 + share)
 
 
-def reached(budget: Budget, published: pd.DataFrame, *, draws: int = DRAWS) -> ArrayF:
+def reached(budget: Budget, published: pd.DataFrame) -> ArrayF:
     """Cells (draws,) that each of ``draws`` random geometries meets within 1 % or half a unit."""
-    met = [_near(_computed_mm(other, published), published).sum() for other in drawn(budget, draws)]
+    met = [_near(_computed_mm(other, published), published).sum() for other in drawn(budget, DRAWS)]
     return np.array(met, dtype=np.float64)
 
 

@@ -6,7 +6,6 @@ water level and a kriged bed by the functions of the rules, once as they should 
 of a list. Errors are taken in all cells of the bed and, for comparison, at the soundings.
 """
 
-import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise, product
@@ -292,7 +291,6 @@ def sections_of(bed: Bed, banks: Banks, river: River) -> pd.DataFrame:
 
 def surveyed(seed: int, folder: Path, mistakes: Sequence[PlantedMistake]) -> pd.DataFrame:
     """Errors of one survey, processed with each of the mistakes: rows of `squares_of` with ``mistake``."""
-    logging.getLogger("thalweg").setLevel(logging.ERROR)
     logs = record(campaign_of(seed), folder / f"seed_{seed}", echo=True)
     river = river_of(logs)
     rows = []
@@ -366,7 +364,6 @@ def asked(seed: int, folder: Path) -> dict[str, pd.DataFrame]:
     sections : see `sections_of`.
     patterns : see `by_pattern`.
     """
-    logging.getLogger("thalweg").setLevel(logging.ERROR)
     logs = record(campaign_of(seed), folder / f"seed_{seed}", echo=True)
     river = river_of(logs)
     bed, _, banks = bed_of(river)

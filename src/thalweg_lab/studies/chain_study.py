@@ -16,7 +16,6 @@ sigmas that P2 Table 1 publishes and a jitter of 23 ms, so that the camera's RMS
 assumed inputs, and the processing knows them.
 """
 
-import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -236,7 +235,6 @@ def survey_chains(seed: int, study: ChainStudy, world: World, folder: Path) -> T
     tables : ``distances`` (kind ``cloud_to_mesh``) and ``counts`` (what became of the shots) with ``chain``;
         ``truth``, errors of the poses (`chains_truth_table`); all with ``setting`` and ``seed``.
     """
-    logging.getLogger("thalweg").setLevel(logging.ERROR)
     settings = study.settings(seed)
     logs = record(settings, folder, scene=world.scene)
     trajectories, mounts, used, _ = trajectories_of(logs, study.images)

@@ -99,7 +99,7 @@ class ConeRun:
     """A run as its sensors report it, and what is true.
 
     ``xyz_scs_m`` (n, 3), ``t_gps_s`` (n,), ``trajectory``, ``cones`` and ``T_wcs_pcs`` as measured,
-    ``antenna`` seen from the scanner as measured; ``true_mount``; ``true_cones`` in pcs; ``true_T_wcs_pcs``.
+    ``antenna`` seen from the scanner as measured; ``true_mount``.
     """
 
     xyz_scs_m: ArrayF
@@ -109,8 +109,6 @@ class ConeRun:
     T_wcs_pcs: Rigid
     antenna: AntennaPoint
     true_mount: Rigid
-    true_cones: FieldCones
-    true_T_wcs_pcs: Rigid
 
 
 def yard_cones() -> FieldCones:
@@ -173,8 +171,6 @@ def make_run(seed: int, spec: RunSpec | None = None, *, move: dict[str, ArrayF] 
         T_wcs_pcs=T_stated,
         antenna=antenna,
         true_mount=TRUE_MOUNT,
-        true_cones=true_pcs,
-        true_T_wcs_pcs=T,
     )
 
 

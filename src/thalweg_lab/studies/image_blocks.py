@@ -10,7 +10,7 @@ of blocks; the others judge it. From a shell: ``make study NAME=image_block_stud
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -61,17 +61,7 @@ FACTORS: Final = (1.0, 1.5, 2.0, 3.0, 4.0)
 _NUMBERS: Final = ("single", "joint", "independent", "rms_mm", "sigma_mm", "rms_mdeg", "sigma_mdeg", "check")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class BlockSpec:
-    """Pictures of a study: size, rate, share of the tiny voyage, number of boards (every third checks)."""
-
-    size_px: tuple[int, int] = (480, 360)
-    rate_hz: float = 2.0
-    share: float = 0.6
-    n_targets: int = 6
-
-
-def rendered_block(seed: int, folder: Path, spec: BlockSpec | None = None) -> tuple[Oriented, ImagePoses]:
+def rendered_block(seed: int, folder: Path) -> tuple[Oriented, ImagePoses]:
     """Render, measure and adjust one block, what the images tell of the lens taken as it is; its files stay.
 
     Returns
@@ -79,11 +69,8 @@ def rendered_block(seed: int, folder: Path, spec: BlockSpec | None = None) -> tu
     oriented : the adjusted block.
     truth : true poses of all pictures.
     """
-    spec = BlockSpec() if spec is None else spec
     folder.mkdir(parents=True, exist_ok=True)
-    lapse = TwinTimeLapse(
-        size_px=spec.size_px, rate_hz=spec.rate_hz, share=spec.share, n_targets=spec.n_targets
-    )
+    lapse = TwinTimeLapse(size_px=(480, 360), rate_hz=2.0, share=0.6, n_targets=6)
     build_scene(TwinConfig.of_size("tiny"), seed).write(folder / "scene.npz")
     simulate_time_lapse(
         TwinConfig.of_size("tiny"),
@@ -205,7 +192,7 @@ def normalised(error: ArrayF, cov: ArrayF) -> tuple[float, float, float]:
     return float(single.mean() / 6), float(whole @ np.linalg.solve(cov, whole) / len(whole)), independent
 
 
-def block_study(seed: int, folder: Path, spec: BlockSpec | None = None) -> pd.DataFrame:
+def block_study(seed: int, folder: Path) -> pd.DataFrame:
     """One line for each factor of `FACTORS`.
 
     Columns ``seed, factor, images``; ``single, joint, independent`` as of `normalised`; ``rms_mm, sigma_mm,
@@ -215,7 +202,7 @@ def block_study(seed: int, folder: Path, spec: BlockSpec | None = None) -> pd.Da
     """
     row: dict[str, Any] = {"seed": seed, "images": 0, **dict.fromkeys(_NUMBERS, np.nan), "check_points": 0}
     try:
-        oriented, truth = rendered_block(seed, folder, spec)
+        oriented, truth = rendered_block(seed, folder)
     except ThalwegError as failure:
         told = {"notes": "", "failure": " ".join(str(failure).split())}
         return pd.DataFrame([{**row, "factor": factor} | told for factor in FACTORS])

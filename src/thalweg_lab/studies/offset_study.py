@@ -11,7 +11,6 @@ beside them.
 Distances are positive in front of the reference, toward the boat, and negative behind it.
 """
 
-import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -135,7 +134,6 @@ and the same after the cloud was fitted to the reference by a rigid motion (NaN 
 
 def distances(seed: int, folder: Path, effect: Effect) -> dict[str, float]:
     """Statistics of the distances of one survey, see `PER_SURVEY`. Its files are deleted again."""
-    logging.getLogger("thalweg").setLevel(logging.ERROR)
     settings = survey_settings(effect.twin, seed=seed, reference=effect.reference)
     logs = record(settings, folder, stations=STATIONS)
     survey = process(logs)

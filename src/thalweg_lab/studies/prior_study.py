@@ -1,6 +1,5 @@
 """What wrong presumptions of the errors do to sigmas, and what estimates mend of that, for all chains."""
 
-import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -141,7 +140,6 @@ def run_ins(seed: int, folder: Path, variants: Sequence[str] = tuple(VARIANTS)) 
     -------
     Rows as of `thalweg_lab.studies.prior_study.run_navigation`, chain ``ins``.
     """
-    logging.getLogger("thalweg").setLevel(logging.ERROR)
     settings = survey_settings(SURVEY, seed=seed)
     logs = record(settings, folder / f"prior_{seed}")
     clock = lidar_reader([logs.pcap], LidarOptions(**settings["lidar"])).scan().clock
@@ -238,16 +236,13 @@ def _against_truth(trajectory: Trajectory, motion: Motion) -> Processed:
     return Processed(error=pose_errors(position, R, motion, at)[inside], cov=trajectory.cov_at(at)[inside])
 
 
-def run_navigation(
-    variant: str, seed: int, folder: Path | None = None, *, duration_s: float = DURATION_S
-) -> pd.DataFrame:
+def run_navigation(variant: str, seed: int, *, duration_s: float = DURATION_S) -> pd.DataFrame:
     """Survey and process once.
 
     Parameters
     ----------
     variant : one of `VARIANTS`.
     seed : of the survey.
-    folder : not needed, nothing is written; other chains of the study need one.
     duration_s : of the survey.
 
     Returns
@@ -256,7 +251,6 @@ def run_navigation(
     over its components, expected 1), ``n`` moments, ``coverage_95``.
     """
     # what neighbouring images differ by is no news here
-    logging.getLogger("thalweg").setLevel(logging.ERROR)
     survey = survey_of(VARIANTS[variant], seed, duration_s)
     rows = []
     for model in MODELS:

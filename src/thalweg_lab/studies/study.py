@@ -5,6 +5,7 @@ Two rules serve all of them: one runs some seeds, the other gathers the rows of 
 """
 
 import importlib
+import logging
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -129,6 +130,7 @@ def run_seeds(study: Study, batch: Batch, sizes: Mapping[str, Any], target: Path
     sizes : ``parameters`` of the study's file.
     target : folder for one Parquet file a table.
     """
+    logging.getLogger("thalweg").setLevel(logging.ERROR)
     parts = []
     for number in batch.seeds:
         with tempfile.TemporaryDirectory(prefix="thalweg_study_") as folder:

@@ -6,7 +6,6 @@ twin knows them, in three dimensions, and where a campaign sees them, as distanc
 """
 
 import copy
-import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -149,7 +148,6 @@ def trial(
     also : called with the survey of the first mistake before its files are deleted.
     """
     # A reversed lever arm puts the boat below the water, which the cloud's log would tell once a seed.
-    logging.getLogger("thalweg").setLevel(logging.ERROR)
     settings = survey_settings(twin, seed=seed, reference=reference)
     logs = record(settings, folder / f"seed_{seed}", stations=STATIONS if mesh else 0)
     surveys = {

@@ -45,12 +45,11 @@ class WaterBeams:
     """Rays in the water, lcs.
 
     ``start_mm`` (n, 3) on the outer face of the window, ``direction`` (n, 3) unit vectors, NaN where a ray
-    never gets there; ``path_mm`` (n,) way from the origin to the outer face.
+    never gets there.
     """
 
     start_mm: ArrayF
     direction: ArrayF
-    path_mm: ArrayF
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -140,9 +139,7 @@ def true_sensor(nominal: Sensor, seed: int, *, tilt_deg: float = 0.0) -> Sensor:
 def beams_in_water(origins_mm: ArrayF, directions: ArrayF, window: Window) -> WaterBeams:
     """Rays behind the window from origins (n, 3) or (3,) and unit directions (n, 3) in air, lcs."""
     path = trace(origins_mm, directions, window)
-    in_air = np.linalg.norm(path.at_inner_mm - origins_mm, axis=1)
-    in_glass = np.linalg.norm(path.at_outer_mm - path.at_inner_mm, axis=1)
-    return WaterBeams(start_mm=path.at_outer_mm, direction=path.in_water, path_mm=in_air + in_glass)
+    return WaterBeams(start_mm=path.at_outer_mm, direction=path.in_water)
 
 
 def see(sensor: Sensor, xyz_lcs_mm: ArrayF) -> Seen:

@@ -1,6 +1,6 @@
 """What the sensor takes images of: the grid, panels, single profiles, scans, a strip of the river bed."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -99,10 +99,6 @@ class Plan:
     def scene(self, k: int) -> Posed:
         """What lies under the sensor at image k."""
         return self.path.posed(k, self.surfaces[self.seen[k]])
-
-    def scenes(self) -> Iterator[Posed]:
-        """All scenes in order."""
-        return (self.scene(k) for k in range(len(self)))
 
 
 def describe(plan: Plan, sensor: Sensor) -> dict[str, Any]:

@@ -32,46 +32,27 @@ cv2 = optional("cv2")
 # ---------------------------------------------------------------- speckle
 
 _LEAST_OVERSAMPLING: Final = 2
+_MAGNIFICATION: Final = 0.1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SpeckleOptics:
     """What decides about the size and the contrast of speckle in an image.
 
-    ``f_number`` is the engraved one; the working f-number is ``f_number (1 + magnification)``.
+    ``f_number`` is the engraved one; the working f-number is larger by the magnification.
     ``polarisations`` is 2 for a surface that depolarises (two independent patterns add up, contrast 0.71
-    before the pixels average) and 1 for one that does not. ``defocus_px`` is the diameter of the blur disc of
-    geometrical optics; it changes lines only.
+    before the pixels average) and 1 for one that does not.
     """
 
     wavelength_nm: float = 520.0
     f_number: float = 8.0
-    magnification: float = 0.1
     pixel_um: float = 5.5
     polarisations: Literal[1, 2] = 2
-    defocus_px: float = 0.0
-
-    def __post_init__(self) -> None:
-        """Refuse optics that do not exist.
-
-        Raises
-        ------
-        GeometryError : a length or number is not positive, or there are neither one nor two polarisations.
-        """
-        for name in ("wavelength_nm", "f_number", "pixel_um"):
-            if not getattr(self, name) > 0.0:
-                raise GeometryError(f"{name} = {getattr(self, name)}", expected="a positive number")
-        if self.polarisations not in (1, 2) or min(self.magnification, self.defocus_px) < 0.0:
-            raise GeometryError(
-                f"polarisations {self.polarisations}, magnification {self.magnification}, "
-                f"defocus {self.defocus_px} px",
-                expected="1 or 2 polarisations, magnification and defocus not negative",
-            )
 
     @property
     def cutoff_per_px(self) -> float:
         """Highest spatial frequency of the field, cycles per pixel."""
-        working = self.f_number * (1.0 + self.magnification)
+        working = self.f_number * (1.0 + _MAGNIFICATION)
         return self.pixel_um * 1e3 / (2.0 * self.wavelength_nm * working)
 
     @property
@@ -82,13 +63,6 @@ class SpeckleOptics:
         """
         return max(_LEAST_OVERSAMPLING, int(np.ceil(4.0 * self.cutoff_per_px)))
 
-    @property
-    def blur_phase_rad(self) -> float:
-        """Phase of the defocus at the pupil's edge: ``2 pi W20 / wavelength``, ``W20 = blur / (8 N)``."""
-        working = self.f_number * (1.0 + self.magnification)
-        path_nm = self.defocus_px * self.pixel_um * 1e3 / (8.0 * working)
-        return 2.0 * np.pi * path_nm / self.wavelength_nm
-
 
 def pupil(shape: tuple[int, int], optics: SpeckleOptics) -> AnyArray:
     """Coherent transfer function (complex64) on the frequencies of `scipy.fft.fft2` of a fine grid."""
@@ -96,10 +70,7 @@ def pupil(shape: tuple[int, int], optics: SpeckleOptics) -> AnyArray:
     fy = fft.fftfreq(shape[0], d=1.0 / step).astype(np.float32)
     fx = fft.fftfreq(shape[1], d=1.0 / step).astype(np.float32)
     rho2 = (fy[:, None] ** 2 + fx[None, :] ** 2) / np.float32(optics.cutoff_per_px**2)
-    inside = (rho2 <= 1.0).astype(np.complex64)
-    if optics.defocus_px > 0.0:
-        inside *= np.exp(np.complex64(1j * optics.blur_phase_rad) * rho2)
-    return inside
+    return np.asarray((rho2 <= 1.0).astype(np.complex64))
 
 
 def speckle_factor(shape: tuple[int, int], optics: SpeckleOptics, generator: np.random.Generator) -> ArrayF32:
@@ -111,7 +82,7 @@ def speckle_factor(shape: tuple[int, int], optics: SpeckleOptics, generator: np.
     Parameters
     ----------
     shape : height and width in pixels.
-    optics : see `SpeckleOptics`; defocus changes nothing here, as it must not in a uniform field.
+    optics : see `SpeckleOptics`.
     generator : of the cause ``speckle``.
 
     Raises
@@ -120,7 +91,7 @@ def speckle_factor(shape: tuple[int, int], optics: SpeckleOptics, generator: np.
     """
     step = optics.oversampling
     fine = (shape[0] * step, shape[1] * step)
-    rows, columns = np.nonzero(pupil(fine, replace(optics, defocus_px=0.0)))
+    rows, columns = np.nonzero(pupil(fine, optics))
     if rows.size < 10:
         raise GeometryError(
             f"a window of {shape[0]} x {shape[1]} pixels holds {rows.size} frequencies of the pupil",

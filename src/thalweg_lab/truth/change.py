@@ -52,6 +52,10 @@ CLASSES: Final = ("unchanged", "erosion", "deposition", "object", "vegetation", 
 
 _STEP_M: Final = 1e-3
 """Behind a hit the search for the next one goes on after so much; the resolution of float32 is far below."""
+_LEAST_M: Final = 0.01
+"""Smaller distances are no change."""
+_PLANTS_M: Final = 1.0
+"""How near plants must be to spoil a place."""
 _MOST_HITS: Final = 16
 _GOLDEN_RAD: Final = np.pi * (3.0 - 5.0**0.5)
 _INSIDE_M: Final = 1.0
@@ -88,8 +92,6 @@ def true_changes(
     radius_m: float = 0.5,
     reach_m: float = 10.0,
     rays: int = 19,
-    least_m: float = 0.01,
-    plants_m: float = 1.0,
 ) -> TrueChanges:
     """Distances and classes at core points.
 
@@ -108,8 +110,6 @@ def true_changes(
     radius_m : of the cylinder; 0: one ray along the normal.
     reach_m : both surfaces are searched within this distance of the core point.
     rays : rays in the cylinder, spread evenly over its area.
-    least_m : smaller distances are no change.
-    plants_m : how near plants must be to spoil a place.
 
     Raises
     ------
@@ -132,13 +132,13 @@ def true_changes(
     t1, t2 = first.reshape(n, k), second.reshape(n, k)
     distance, off = _mean(t2 - t1, both), _mean(t1, both)
     kind = np.where(distance < 0, "erosion", "deposition").astype("<U10")
-    kind[np.abs(distance) < least_m] = "unchanged"
+    kind[np.abs(distance) < _LEAST_M] = "unchanged"
     thing = [(~BARE_GROUND[each]).reshape(n, k) & both for each in (first_kind, second_kind)]
     things = np.maximum(*(np.sum(each, axis=1) for each in thing))
-    kind[(2 * things >= np.sum(both, axis=1)) & (np.abs(distance) >= least_m)] = "object"
+    kind[(2 * things >= np.sum(both, axis=1)) & (np.abs(distance) >= _LEAST_M)] = "object"
     spoilt = np.zeros(n, dtype=np.bool_)
     for scene in (before, after):
-        spoilt |= 4 * np.sum(_plants_near(scene, origin, way, plants_m).reshape(n, k), axis=1) >= k
+        spoilt |= 4 * np.sum(_plants_near(scene, origin, way, _PLANTS_M).reshape(n, k), axis=1) >= k
     kind[spoilt] = "vegetation"
     for scene, t in ((before, t1), (after, t2)):
         height = _mean(start[..., 2] + t * normal[:, None, 2], both)

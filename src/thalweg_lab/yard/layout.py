@@ -342,13 +342,13 @@ class Field:
         """True place (3,) of each saddle by printed marker and corner."""
         return {(s.marker, i): p for s in self.sheets for i, p in enumerate(s.saddles_wcs_m())}
 
-    def cone_of(self, points_wcs_m: ArrayF, *, tolerance_m: float = 1e-3) -> ArrayI:
+    def cone_of(self, points_wcs_m: ArrayF) -> ArrayI:
         """Index (n,) of the cone whose surface points lie on, -1 where none."""
         out = np.full(len(points_wcs_m), -1, dtype=np.int64)
         for i, cone in enumerate(self.cones):
             centre, radius = cone.sphere
-            near = np.flatnonzero((np.abs(points_wcs_m - centre) <= radius + tolerance_m).all(axis=1))
-            out[near[cone.holds(points_wcs_m[near], tolerance_m)]] = i
+            near = np.flatnonzero((np.abs(points_wcs_m - centre) <= radius + 1e-3).all(axis=1))
+            out[near[cone.holds(points_wcs_m[near], 1e-3)]] = i
         return out
 
 

@@ -350,9 +350,7 @@ class SyntheticView:
     range_m: ArrayF32
 
 
-def synthetic_view(
-    field: Field, camera: Camera, T_wcs_ccs: Rigid, sun: Sun, *, field_of_view_deg: float = 190.0
-) -> SyntheticView:
+def synthetic_view(field: Field, camera: Camera, T_wcs_ccs: Rigid, sun: Sun) -> SyntheticView:
     """A clean picture of the field, without noise and without the printed markers.
 
     Parameters
@@ -361,11 +359,10 @@ def synthetic_view(
     camera : of any model.
     T_wcs_ccs : its pose.
     sun : the light.
-    field_of_view_deg : full angle of the image circle of a fisheye.
     """
     yard = Yard.of(field_scene(field), ())
     heights = np.array([cone.middle_wcs_m[2] for cone in field.cones])
-    seen = Photographer(yard, sun).see(LensRays(camera, field_of_view_deg=field_of_view_deg), T_wcs_ccs)
+    seen = Photographer(yard, sun).see(LensRays(camera, field_of_view_deg=190.0), T_wcs_ccs)
     number = np.full(len(yard.names) + 1, -1, dtype=np.int64)
     number[[yard.names.index(cone.name) for cone in field.cones]] = np.arange(len(field.cones))
     lens = TwinLens(noise=0.0, sharpness_px=0.4)

@@ -778,7 +778,7 @@ def appearance_of(name: str) -> Look:
 
 
 @lru_cache(maxsize=1)  # pictures of a yard are taken under one sky
-def panorama(sun: Sun, *, cover: float = 0.55) -> ArrayF32:
+def panorama(sun: Sun) -> ArrayF32:
     """The sky with its clouds (512, 2048, 3) as linear light, not to be written to.
 
     Rows run from the nadir to the zenith, columns counter-clockwise from east.
@@ -788,7 +788,7 @@ def panorama(sun: Sun, *, cover: float = 0.55) -> ArrayF32:
     azimuth = (np.arange(columns) + 0.5) / columns * 2 * np.pi
     el, az = (a.ravel() for a in np.meshgrid(elevation, azimuth, indexing="ij"))
     way = np.stack([np.cos(el) * np.cos(az), np.cos(el) * np.sin(az), np.sin(el)], axis=1)
-    light = np.minimum(sky(way, sun, cover=cover), 6.0)
+    light = np.minimum(sky(way, sun, cover=0.55), 6.0)
     return np.ascontiguousarray(light.reshape(rows, columns, 3), dtype=np.float32)
 
 

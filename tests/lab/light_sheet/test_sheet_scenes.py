@@ -64,7 +64,7 @@ def test_the_line_crosses_the_object_in_a_scan(small):
     plan = scan_plan(small.sensor, SEED, stepped_object(), lines=7, step_mm=4.0)
     assert len(plan) == 7
     at = []
-    for posed in plan.scenes():
+    for posed in map(plan.scene, range(len(plan))):
         middle = line_on(small.sensor, posed, small.sensor.sheet, np.zeros(1))
         at.append(posed.to_object(middle.xyz_lcs_mm)[0])
     steps = np.diff(np.array(at)[:, 1])
@@ -107,7 +107,7 @@ def test_poses_of_the_panel_reach_the_published_sigmas(small):
 
 def test_a_strip_under_a_boat(small):
     plan = strip_plan(small.sensor, SEED, lines=6, step_mm=3.0)
-    for k, posed in enumerate(plan.scenes()):
+    for k, posed in enumerate(map(plan.scene, range(len(plan)))):
         line = line_on(small.sensor, posed, small.sensor.sheet, np.deg2rad(np.linspace(-25, 25, 51)))
         assert line.lit.all(), k
         assert 100 < np.median(small.sensor.window.depth_mm(line.xyz_lcs_mm)) < 160

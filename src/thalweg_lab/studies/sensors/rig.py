@@ -97,9 +97,9 @@ def errors_of(found: RigCalibration, true: TrueRig) -> dict[str, float]:
     }
 
 
-def lens_error_px(found: Camera, true: Camera, widest_deg: float = WIDEST_DEG) -> float:
+def lens_error_px(found: Camera, true: Camera) -> float:
     """Largest distance of the pixels of two interiors, up to an angle from the axis."""
-    t, a = np.meshgrid(np.deg2rad(np.linspace(0, widest_deg, 96)), np.linspace(0, 2 * np.pi, 73))
+    t, a = np.meshgrid(np.deg2rad(np.linspace(0, WIDEST_DEG, 96)), np.linspace(0, 2 * np.pi, 73))
     rays = np.stack([np.sin(t) * np.cos(a), np.sin(t) * np.sin(a), np.cos(t)], axis=-1).reshape(-1, 3)
     return float(np.linalg.norm(found.project(rays) - true.project(rays), axis=1).max())
 

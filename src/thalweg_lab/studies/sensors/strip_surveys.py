@@ -83,7 +83,6 @@ class Drawn:
     trajectory: Trajectory
     truth: Trajectory
     chains: Sequence[ErrorChain]
-    off: ArrayF
     lever: ArrayF
 
 
