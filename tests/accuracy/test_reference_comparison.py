@@ -93,7 +93,8 @@ def test_the_entry_script_writes_all_files(tmp_path, rng, repository):
         points=cloud(tmp_path, rng),
         mesh=tmp_path / "mesh.ply",
         **outputs,
-        campaign={"crs": "EPSG:25833", "seed": 3},
+        crs="EPSG:25833",
+        seed=3,
         accuracy=Accuracy(area={"min_height_m": 0.5}),
         reference=ReferenceSettings(),
     )

@@ -59,7 +59,6 @@ def calibrated(
     ruler = {"lever_ics_m": run.ruler_m.tolist(), "sigma_lever_m": SIGMA_RULER_M.tolist()}
     antenna = {"lever_ics_m": LEVER_ANTENNA_M.tolist(), "sigma_lever_m": [0.0, 0.0, 0.0]}
     write_mounts(folder / "mounts.json", resolve_mounts({"echo_sounder": ruler, "antenna": antenna}, None))
-    origin = {"lat_deg": frame.lat_deg, "lon_deg": frame.lon_deg, "h_ell_m": frame.h_ell_m}
     script.main(
         depths=folder / "depths.parquet",
         integrity=folder / "depth.integrity.json",
@@ -68,7 +67,9 @@ def calibrated(
         bed=[folder / "bed.csv"],
         echo_sounder=folder / "echo_sounder.yaml",
         report=folder / "echo_sounder.json",
-        campaign={"id": "river", "origin": origin, "crs": "EPSG:25833"},
+        run="river",
+        frame=frame,
+        crs="EPSG:25833",
         settings=SETTINGS,
         stated=stated or EchoSounder(),
         twin=True,

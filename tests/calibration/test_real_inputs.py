@@ -162,7 +162,7 @@ def test_the_boats_camera_from_a_file_and_from_nothing(tmp_path, script, field_t
             camera=tmp_path / "camera.yaml",
             residuals=tmp_path / "residuals.csv",
             report=tmp_path / "report.json",
-            campaign={"id": "x"},
+            run="x",
             model="fisheye",
             focal_px=None,
         )

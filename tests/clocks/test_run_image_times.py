@@ -125,7 +125,7 @@ def job(tmp_path):
     return {
         "ties": [tmp_path / "ties.csv"],
         "pulses": [],
-        "stability": [],
+        "stability": None,
         "stamps": tmp_path / "stamps.parquet",
         "clock": tmp_path / "clock.yaml",
         "images": tmp_path / "images.parquet",
@@ -142,7 +142,7 @@ def test_ties_do_not_tell_the_jitter(script, job):
 
 @pytest.mark.parametrize(("stated", "jitter_s", "words"), [(None, 0.0163, "display"), (0.03, 0.03, "stated")])
 def test_ties_take_the_jitter_from_elsewhere(script, job, stated, jitter_s, words):
-    job["stability"] = [job["clock"].parent / "stability.json"]
+    job["stability"] = job["clock"].parent / "stability.json"
     job["options"]["jitter_s"] = stated
     script.main(**job)
     clock = ClockModel.read(job["clock"])

@@ -75,21 +75,20 @@ def test_script(tmp_path, repository, kind):
     assert spec.loader
     script = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(script)
-    given = tmp_path / "predictions.parquet"
-    predictions().write(given)
-    interior = []
+    interior = None
     path = write_colmap_text(tmp_path / "model") if kind == "colmap" else table(tmp_path / "eo.txt")
     if kind == "table and calibration":
-        interior = [tmp_path / "cameras.txt"]
-        interior[0].write_text("1 PINHOLE 720 540 600 600 360 270\n")
+        interior = tmp_path / "cameras.txt"
+        interior.write_text("1 PINHOLE 720 540 600 600 360 270\n")
     script.main(
         files=[path],
-        predictions=given,
+        predictions=predictions(),
         interior=interior,
         poses=tmp_path / "poses.parquet",
         camera=tmp_path / "camera.yaml",
         facts=tmp_path / "facts.json",
-        campaign={"id": "test", "crs": None},
+        run="test",
+        crs=None,
         finished=settings(crs="world"),
     )
     assert_poses(ImagePoses.read(tmp_path / "poses.parquet"))

@@ -422,7 +422,7 @@ def test_the_four_scripts(wall, matches, repository, tmp_path):
     )
     assert np.array_equal(Matches.read(tmp_path / "matches.npz").common, matches.common)
     script("map_images")(  # type: ignore[operator]
-        matches=tmp_path / "matches.npz",
+        matches=Matches.read(tmp_path / "matches.npz"),
         block=tmp_path / "block.npz",
         pieces=tmp_path / "pieces",
         images=tmp_path / "images.csv",

@@ -2,7 +2,6 @@
 
 import inspect
 import runpy
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -80,19 +79,19 @@ class Jobs:
             "marks": basin.folder / "camera_field_marks.csv",
             "field": basin.folder / "camera_field.yaml",
         }
-        origin = {"lat_deg": FRAME.lat_deg, "lon_deg": FRAME.lon_deg, "h_ell_m": FRAME.h_ell_m}
         run(
             "calibrate_sheet_camera",
             self.out,
             **files | other,
             camera=self.out / "camera_interior.yaml",
             report=self.out / "camera_interior.json",
-            campaign={"id": "x", "origin": origin},
+            run="x",
+            frame=FRAME,
             twin=True,
         )
         return read_camera(self.out / "camera_interior.yaml")
 
-    def orient(self, basin: Basin, *, interior: Sequence[Path] = (), **other: Path) -> Sensor:
+    def orient(self, basin: Basin, *, interior: Path | None = None, **other: Path) -> Sensor:
         files = {
             "design": basin.folder / "sensor.yaml",
             "marks": basin.folder / "camera_marks.csv",
@@ -102,9 +101,9 @@ class Jobs:
             "orient_sheet_camera",
             self.out,
             **files | other,
-            interior=list(interior),
+            interior=interior,
             sensor=self.out / "camera.yaml",
-            campaign={"id": "x"},
+            run="x",
             calibration=self.settings.calibration.model_dump(),
             twin=True,
         )
@@ -140,7 +139,7 @@ class Jobs:
             **files | other,
             sensor=self.out / "sensor.yaml",
             report=self.out / "calibration.json",
-            campaign={"id": "x"},
+            run="x",
             calibration=self.settings.calibration.model_dump(),
             water=self.settings.water.model_dump(),
             twin=True,

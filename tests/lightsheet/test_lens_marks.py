@@ -80,7 +80,7 @@ def test_tables_that_are_wrong(basin, tmp_path, change, words):
 def jobs(basin, tmp_path_factory):
     done = Jobs(tmp_path_factory.mktemp("lens"))
     done.calibrate_camera(basin)
-    done.orient(basin, interior=[done.out / "camera_interior.yaml"])
+    done.orient(basin, interior=done.out / "camera_interior.yaml")
     done.detect(basin, "calibration")
     done.calibrate(basin)
     return done
@@ -125,7 +125,7 @@ def test_without_a_marker_field_the_design_counts(jobs, basin, tmp_path):
     sensor = Jobs(tmp_path).orient(basin)
     report = json.loads((tmp_path / "orient_sheet_camera.report").read_text())
     assert report["interior_orientation"] == "the design"
-    other = Jobs(jobs.out).orient(basin, interior=[jobs.out / "camera_interior.yaml"])
+    other = Jobs(jobs.out).orient(basin, interior=jobs.out / "camera_interior.yaml")
     assert sensor.camera.parameters[4:].tolist() == [0.0] * 5
     assert np.abs(other.camera.parameters[4:]).min() > 0.0
 
@@ -134,7 +134,6 @@ def test_a_message_names_the_table(basin, tmp_path):
     few = changed(basin, tmp_path / "few.csv", lambda t: t[t["file"] < "field_005.png"])
     with pytest.raises(GeometryError, match=r"few\.csv: 4 pictures of the field"):
         Jobs(tmp_path).calibrate_camera(basin, marks=few)
-    origin = {"lat_deg": FRAME.lat_deg, "lon_deg": FRAME.lon_deg, "h_ell_m": FRAME.h_ell_m}
     with pytest.raises(InputError, match="file not found"):
         run(
             "calibrate_sheet_camera",
@@ -142,6 +141,7 @@ def test_a_message_names_the_table(basin, tmp_path):
             design=basin.folder / "sensor.yaml",
             marks=tmp_path / "none.csv",
             field=basin.folder / "camera_field.yaml",
-            campaign={"id": "x", "origin": origin},
+            run="x",
+            frame=FRAME,
             twin=True,
         )

@@ -275,9 +275,8 @@ def prepare_epoch(
 
 def _group(facts: Mapping[str, Any], number: int, arrays: dict[str, AnyArray]) -> SharedErrors:
     """A group of errors by its facts and its arrays, which are taken out."""
-    root, link, t_s, cell = (
-        arrays.pop(f"{name}_{number}", None) for name in ("root", "link", "nodes", "cell")
-    )
+    root = arrays.pop(f"root_{number}")
+    link, t_s, cell = (arrays.pop(f"{name}_{number}", None) for name in ("link", "nodes", "cell"))
     if cell is not None:
         return SpatialErrors(facts["name"], cell, facts["cell_m"], root, facts["correlation_m"])
     time_s = np.nan if link is not None else facts["correlation_s"]
