@@ -151,7 +151,9 @@ def test_other_light_and_no_hull(recording, tmp_path):
         clouds=False,
         glare=False,
     )
-    plain = render(tmp_path, replace(recording, renderer=bare), range(1, 50, 8))
+    other = replace(recording)
+    vars(other)["renderer"] = bare
+    plain = render(tmp_path, other, range(1, 50, 8))
     table = make_masks(plain.files, tmp_path / "masks")
     wrong, kept = scores(read(tmp_path / "masks", plain.files), plain.land)
     assert wrong < 0.03

@@ -193,7 +193,7 @@ class Results:
         found = self._in_file(ours, ours.name)
         if ours.sigma_of and found.value is not None:
             of = ours.sigma_of
-            mean = {ours.source: of.file, "column": [of.column], "take": "mean error"}
+            mean: dict[str, Any] = {ours.source: of.file, "column": [of.column], "take": "mean error"}
             spread = self._in_file(Ours.model_construct(**mean), of.file)
             found = replace(found, sigma=spread.value if isinstance(spread.value, float) else float("nan"))
         if not (ours.against or ours.against_where) or not isinstance(found.value, float):
@@ -1084,7 +1084,7 @@ def _column(table: pd.DataFrame, name: str) -> "pd.Series[Any]":
     return table[name]
 
 
-def _at(content: Any, key: tuple[Any, ...]) -> Any:
+def _at(content: Any, key: Sequence[Any]) -> Any:
     here = content
     for part in key:
         known = isinstance(here, Mapping) and part in here
@@ -1095,7 +1095,7 @@ def _at(content: Any, key: tuple[Any, ...]) -> Any:
     return here
 
 
-def _beside(key: tuple[Any, ...], name: str) -> tuple[Any, ...]:
+def _beside(key: Sequence[Any], name: str) -> tuple[Any, ...]:
     return (*key[:-1], name)
 
 
@@ -1103,7 +1103,7 @@ def _named(sigma: str) -> bool:
     return sigma not in ("", *SPREADS)
 
 
-def _dotted(key: tuple[Any, ...]) -> str:
+def _dotted(key: Sequence[Any]) -> str:
     return ".".join(str(part) for part in key)
 
 

@@ -74,7 +74,7 @@ class Spec:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Drawn:
-    """A survey: its points as georeferenced and in truth, the trajectory, what it is off by."""
+    """A survey: its points as georeferenced and in truth, the trajectory."""
 
     sample: LogSample
     true_m: ArrayF
@@ -159,7 +159,7 @@ def draw(seed: int, spec: Spec) -> Drawn:
     ).chains(poses, LEVER)
     return Drawn(
         sample=sample, true_m=true, normal=normal, still=still, trajectory=poses, truth=truth,
-        chains=chains, off=off, lever=lever,
+        chains=chains, lever=lever,
     )  # fmt: skip
 
 
