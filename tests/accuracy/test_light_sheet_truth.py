@@ -202,7 +202,7 @@ def calibrated(request, tmp_path_factory):
         basin = recorded(folder / "logs", seed, changes={"lens_pictures": 12})
         jobs = Jobs(folder / "out")
         jobs.calibrate_camera(basin)
-        jobs.orient(basin, interior=[jobs.out / "camera_interior.yaml"])
+        jobs.orient(basin, interior=jobs.out / "camera_interior.yaml")
         jobs.detect(basin, "calibration")
         pairs.append((jobs.calibrate(basin), basin.truth))
     return pairs

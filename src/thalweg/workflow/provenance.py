@@ -139,7 +139,14 @@ def other_versions(outputs: Iterable[Path]) -> dict[str, int]:
 
 
 TEMPORARY: Final = frozenset(
-    {"georeference_window", "count_neighbours", "extract_features", "match_features"}
+    {
+        "georeference_window",
+        "count_neighbours",
+        "extract_features",
+        "match_features",
+        "simulate_field_images_part",
+        "simulate_time_lapse_part",
+    }
 )
 """Rules whose outputs are removed once they have been used (``temp`` of Snakemake)."""
 
