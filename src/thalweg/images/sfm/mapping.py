@@ -61,6 +61,10 @@ _TOGETHER: Final = 250
 """Images that are mapped in one; parts of more are mapped at the same time."""
 _SHARED: Final = 30
 """Images that a part of a larger block shares with the next one."""
+_SEARCHED: Final = 2048
+"""Features of an image by which a larger block is put together; points of the others follow."""
+_DIRECT: Final = 20_000
+"""Images up to which the equations of an adjustment are solved directly: a band of 6 unknowns an image."""
 _GROWTH: Final = 1.4
 """A larger block is adjusted whole each time it has grown so many times; COLMAP has 1.1, which takes half as
 long again (180 images: 151 s of the processor, 101 s), and moves poses by 0.14 of their sigmas."""
@@ -96,13 +100,17 @@ def map_images(
         return Mapped(pieces=(), facts={**told, "notes": [], "pieces": []})
     with tempfile.TemporaryDirectory(prefix="thalweg-block-") as temporary:
         folder = Path(temporary)
-        notes = fill_database(folder / "block.db", matches)
+        large = use.method == "incremental" and len(matches.order) > _TOGETHER
+        searched = _of_most_pairs(matches) if large else matches
+        notes = fill_database(folder / "block.db", searched)
         if on_gpu:
             notes.append(f"structure from motion on a graphics card (images.device: {device})")
         used = 1 if use.repeatable else max(1, threads)
         put_together = _global if use.method == "global" else _incremental
-        models = _in_parts(folder, matches, use, threads, on_gpu, notes)
+        models = _in_parts(folder, matches, use, threads, on_gpu, notes) if large else []
         models = models or put_together(folder, matches, use, used, on_gpu)
+        if len(searched.common) < len(matches.common):
+            models = _with_all_points(folder, models, matches, use, on_gpu)
         models = [_refined(model, matches, use, notes, on_gpu) for model in models]
         found = [piece for model in models for piece in _pieces(model, matches, use, notes)]
     good = []
@@ -208,6 +216,8 @@ def _adjustment(pc: Any, focal: bool, shape: bool, on_gpu: bool) -> Any:
     o.refine_focal_length, o.refine_extra_params, o.refine_principal_point = focal, shape, False
     o.ceres.use_gpu = on_gpu
     o.ceres.solver_options.num_threads = 1
+    # beyond 1,000 images COLMAP iterates: 14 minutes were not enough for 1,025, directly 4 were
+    o.ceres.max_num_images_direct_sparse_cpu_solver = _DIRECT
     return o
 
 
@@ -249,11 +259,9 @@ def _in_parts(
     """Overlapping parts of a large block, mapped beside each other, joined by common images, and adjusted.
 
     Each part has one thread, so that the number of threads changes nothing.
-    No model if the block is not large, or if parts with common images could not be joined.
+    No model if parts with common images could not be joined.
     """
     n = len(matches.order)
-    if use.method != "incremental" or n <= _TOGETHER:
-        return []
     pc = colmap()
     o = pc.HierarchicalPipelineOptions()
     o.incremental_options = _options(pc, matches, use, 1, on_gpu)
@@ -282,6 +290,30 @@ def _in_parts(
         pc.create_default_bundle_adjuster(adjustment, taken, model).solve()
     notes.append(f"{n} images were mapped in overlapping parts of at most {_TOGETHER}")
     return models
+
+
+def _of_most_pairs(matches: Matches) -> Matches:
+    """The matches of those features of each image that most others have too, the larger first."""
+    rows = matches.start.astype(np.uint32)[matches.pairs].repeat(matches.n_common, axis=0)
+    rows += matches.common
+    pairs_of = np.bincount(rows.ravel(), minlength=len(matches.place))
+    owner = np.repeat(np.arange(len(matches.pictures)), np.diff(matches.start))
+    order = np.lexsort((-matches.place[:, 2], -pairs_of, owner))
+    rank = np.empty(len(order), np.int64)
+    rank[order] = np.arange(len(order)) - matches.start[owner]
+    both = (rank < _SEARCHED)[rows].all(axis=1)
+    first = np.concatenate([[0], np.cumsum(both)])[matches.pair_start]
+    return replace(matches, common=matches.common[both], pair_start=first)
+
+
+def _with_all_points(
+    folder: Path, models: Sequence[Any], matches: Matches, use: MappingSettings, on_gpu: bool
+) -> list[Any]:
+    """Models with the points of all matches, seen from the poses that they have."""
+    pc = colmap()
+    fill_database(folder / "all.db", matches)
+    o = _options(pc, matches, use, 1, on_gpu)
+    return [pc.triangulate_points(model, folder / "all.db", folder, folder, True, o) for model in models]
 
 
 def _options(pc: Any, matches: Matches, use: MappingSettings, threads: int, on_gpu: bool) -> Any:
