@@ -22,6 +22,7 @@ The sums are the same with the matrix M_k in place of the exponential.
 Source: Gelb (1974), Applied Optimal Estimation, 2.2, for the process; the sums are written out here.
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
@@ -38,7 +39,7 @@ COMMON: Final = "stated, common to all"
 """Group of an error that all heights of an epoch share; a motion that is taken off holds it."""
 
 
-class SharedErrors:
+class SharedErrors(ABC):
     """One kind of error at m moments or places: c components from d ones of unit variance.
 
     Attributes
@@ -51,25 +52,25 @@ class SharedErrors:
     name: str
     root: ArrayF
 
+    @abstractmethod
     def variances(self, rows: sp.csr_matrix) -> ArrayF:
         """Variance (k,) of products with these derivatives (k, c m)."""
-        raise NotImplementedError
 
+    @abstractmethod
     def correlated(self, u: ArrayF) -> ArrayF:
         """Correlation matrix of the d components of all moments or places, times (m, d, q)."""
-        raise NotImplementedError
 
+    @abstractmethod
     def unit_draw(self, rng: np.random.Generator) -> ArrayF:
         """The d components (m, d), drawn."""
-        raise NotImplementedError
 
+    @abstractmethod
     def facts(self) -> dict[str, Any]:
         """How long or how far it lasts, and its unit."""
-        raise NotImplementedError
 
+    @abstractmethod
     def stored(self) -> Mapping[str, AnyArray]:
         """Arrays from which, with its facts, it is made again."""
-        raise NotImplementedError
 
     def times_covariance(self, columns: ArrayF) -> ArrayF:
         """Covariance matrix of all errors (c m, c m) times columns (c m, q), without the matrix."""
