@@ -161,3 +161,18 @@ def test_rows_and_columns_may_run_either_way(tmp_path, east, north, code):
     assert_allclose(found.corner_m, np.array([west, top]) * unit, rtol=1e-12)
     assert_allclose(found.cell_m, np.array([2.0, 3.0]) * unit, rtol=1e-9)
     assert_array_equal(found.height_m, [[11.5, 12.5, 13.5], [21.5, 22.5, 23.5]])
+
+
+@pytest.mark.parametrize(
+    ("stated", "metres"), [("METERS", 1.0), ("NO", 1.0), ("FEET", 0.3048), ("Feet", 0.3048)]
+)
+def test_heights_have_the_unit_of_an_old_prj(tmp_path, stated, metres):
+    """Arc/Info states the unit of heights in a line of the .prj, which GDAL passes over."""
+    path = tmp_path / "a.asc"
+    path.write_text(
+        "ncols 2\nnrows 2\nxllcorner 400000\nyllcorner 5650000\ncellsize 1\n101.5 102.5\n103.5 104.5\n"
+    )
+    path.with_suffix(".prj").write_text(
+        f"Projection  UTM\nZone  33\nDatum  WGS84\nZunits  {stated}\nUnits  METERS\nParameters\n"
+    )
+    assert_allclose(read_dsm(path).height_m, np.array([[101.5, 102.5], [103.5, 104.5]]) * metres, rtol=1e-6)

@@ -248,6 +248,10 @@ def test_names_in_other_languages_are_quantities(read):
     [
         ("110001+00000001 81..10+00377300 82..10+05656850\n", "Leica GSI"),
         ("<html><table><tr><td>lat</td></tr></table></html>", "a page or a workbook in XML"),
+        (
+            "2\n1\n10 20 3\n1 0 0\n0 1 0\n0 0 1\n1 0 0 0\n0 1 0 0\n0 0 1 0\n10 20 3 1\n1.5 2.5 0.1 0.5\n",
+            "a laser scan in PTX",
+        ),
     ],
 )
 def test_files_of_another_form_are_named(read, text, words):

@@ -334,7 +334,7 @@ def _heights(file: Any, path: Path, nodata: float | None) -> Dsm:
     crs = CRS.from_wkt(file.crs.to_wkt()) if file.crs else None
     tags = {key.lower(): value for key, value in (file.tags() | file.tags(number)).items()}
     tagged = next((tags[key] for key in sorted(tags) if _UNIT_TAG.fullmatch(key)), None)
-    up = _unit_of_band(file.units[number - 1] or tagged, names[number - 1], path)
+    up = _unit_of_band(file.units[number - 1] or tagged or _old_unit(path), names[number - 1], path)
     words = _names(file, number)
     if "down" in tags.get("positive", "").lower() or any(_DEPTH.search(w) for w in words):
         raise UnsupportedError(
@@ -478,6 +478,15 @@ def _names(file: Any, number: int) -> list[str]:
     """What a file calls a band, by its name and in tags; empty where it does not."""
     tags = {key.lower(): value for key, value in (file.tags() | file.tags(number)).items()}
     return [file.descriptions[number - 1] or "", *(tags.get(key, "") for key in _TAGS_OF_NAMES)]
+
+
+def _old_unit(path: Path) -> str | None:
+    """Unit of heights in a ``.prj`` of Arc/Info, a keyword a line, of which GDAL reads the map alone."""
+    beside = path.with_suffix(".prj")
+    if not beside.is_file():
+        return None
+    stated = re.search(r"(?im)^\s*zunits\s+(\S+)", beside.read_text(encoding="latin-1"))
+    return None if stated is None or stated[1].lower() == "no" else stated[1].lower()
 
 
 def _unit_of_band(unit: str | None, name: str, path: Path) -> Unit | None:

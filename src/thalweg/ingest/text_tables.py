@@ -84,6 +84,13 @@ _OTHERS: Final = (
         "a page or a workbook in XML",
         "Save the sheet as CSV (UTF-8)",
     ),
+    (
+        re.compile(
+            rb"\s*\d+\s*\n\s*\d+\s*\n(?:[ \t]*[-+.\deE]+){3}\s*\n(?:(?:[ \t]*[-+.\deE]+){3}\s*\n){3}[\s\d]"
+        ),
+        "a laser scan in PTX, whose first ten lines are its size and pose",
+        "Export the scan as LAZ or E57, in the world's coordinates",
+    ),
 )
 """Texts of another form, by their beginning."""
 _COMMA_NUMBER: Final = re.compile(r"[-+−]?\d+(?:,\d+)?")
