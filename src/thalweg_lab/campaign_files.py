@@ -123,12 +123,16 @@ def calibrated_boat(files: CampaignFiles) -> list[str]:
     return [f"results/{chosen}/simulation/truth/mounts.json"] if twin else []
 
 
+def n_images(campaign: Campaign) -> int:
+    """About how many images of the bank the twin's boat takes."""
+    twin = campaign.twin
+    lapse = None if twin is None else twin.time_lapse
+    return 0 if lapse is None else math.ceil(lapse.share * lapse.rate_hz * twin.duration_s)
+
+
 def n_image_parts(files: CampaignFiles) -> int:
     """Jobs that draw the images of the bank."""
-    twin = files.plain["twin"]
-    lapse = twin["time_lapse"]
-    n = math.ceil(lapse["share"] * lapse["rate_hz"] * twin["duration_s"] / _IMAGES_OF_PART)
-    return min(max(n, 1), _MOST_PARTS)
+    return min(max(math.ceil(n_images(files.campaign) / _IMAGES_OF_PART), 1), _MOST_PARTS)
 
 
 def image_parts(files: CampaignFiles) -> list[str]:

@@ -186,7 +186,7 @@ def test_a_large_block_in_overlapping_parts_is_that_of_all_images(monkeypatch):
     for matches, f_within_px in ((voyage_of, 0.0), (guessed, 0.5)):
         whole = map_images(matches)
         with monkeypatch.context() as patched:
-            patched.setattr("thalweg.images.sfm.mapping._TOGETHER", 20)
+            patched.setattr("thalweg.images.sfm.mapping.LARGE_BLOCK", 20)
             patched.setattr("thalweg.images.sfm.mapping._SHARED", 8)
             parts = map_images(matches)
             assert equal(parts.pieces[0], map_images(matches, threads=2).pieces[0])
@@ -211,7 +211,7 @@ def test_a_large_block_in_overlapping_parts_is_that_of_all_images(monkeypatch):
 
 
 def test_parts_that_are_not_joined_are_mapped_in_one(matches, monkeypatch):
-    monkeypatch.setattr("thalweg.images.sfm.mapping._TOGETHER", 5)
+    monkeypatch.setattr("thalweg.images.sfm.mapping.LARGE_BLOCK", 5)
     whole = pycolmap.incremental_mapping
 
     def two_models(*arguments: Any) -> dict[int, Any]:
@@ -406,11 +406,11 @@ def test_the_four_scripts(wall, matches, repository, tmp_path):
     def script(name: str) -> object:
         return runpy.run_path(str(repository / f"workflow/scripts/{name}.py"))["main"]
 
-    options = FeatureSettings(parts=2)
     parts = [tmp_path / f"part_{k}.npz" for k in range(2)]
+    alone = {"threads": 1, "device": "cpu"}
     for k, part in enumerate(parts):
         script("extract_features")(  # type: ignore[operator]
-            images=wall.files, masks=[], features=part, part=k, options=options, threads=1, device="cpu"
+            images=wall.files, masks=[], features=part, part=k, parts=2, options=FeatureSettings(), **alone
         )
     camera = tmp_path / "cameras.txt"
     values = " ".join(str(v) for v in PERSPECTIVE.parameters[:8])
@@ -426,7 +426,7 @@ def test_the_four_scripts(wall, matches, repository, tmp_path):
         "trajectory": [],
         "options": mapping,
     }
-    script("match_features")(pairs=tmp_path / "pairs.npz", part=0, threads=1, device="cpu", **shared)  # type: ignore[operator]
+    script("match_features")(pairs=tmp_path / "pairs.npz", part=0, parts=1, **alone, **shared)  # type: ignore[operator]
     script("join_matches")(  # type: ignore[operator]
         pairs=[tmp_path / "pairs.npz"], matches=tmp_path / "matches.npz", **shared
     )

@@ -172,18 +172,17 @@ def test_the_jobs_of_the_parts_and_their_join(two, half_known, repository, tmp_p
     (tmp_path / "cameras.txt").write_text(f"1 OPENCV 320 240 {values}\n")
     written = []
     for parts in (1, 2):
-        options = MappingSettings(parts=parts)
+        options = MappingSettings()
         pairs = [tmp_path / f"pairs_{k}.npz" for k in range(parts)]
         for k, path in enumerate(pairs):
             script(repository, "match_features")(
-                pairs=path, part=k, options=options, threads=1, device="cpu", **shared
+                pairs=path, part=k, parts=parts, options=options, threads=1, device="cpu", **shared
             )
         out = tmp_path / f"matches_{parts}.npz"
         script(repository, "join_matches")(pairs=pairs, matches=out, options=options, **shared)
         written.append(out.read_bytes())
     assert written[0] == written[1]
     assert equal(Matches.read(tmp_path / "matches_2.npz"), half_known)
-    assert FeatureSettings().parts == MappingSettings().parts == 1
 
 
 def script(repository: Path, name: str):

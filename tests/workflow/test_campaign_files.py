@@ -17,6 +17,7 @@ from thalweg_lab.campaign_files import (
     ledger_results,
     ledger_studies,
     ledger_table,
+    n_images,
     rig_device,
     sheet_basin,
     twin_logs,
@@ -151,6 +152,41 @@ def test_parts_of_settings_leave_out_what_a_job_does_not_depend_on(shipped):
     assert tiny.section("images", "mapping", "parts") == tiny.campaign.images.mapping.parts
     with pytest.raises(KeyError):
         tiny.section("images", "mappnig")
+
+
+@pytest.mark.parametrize(
+    ("n", "stated", "jobs", "threads"),
+    [
+        (0, "auto", 1, 1),
+        (32, "auto", 1, 1),
+        (33, "auto", 2, 1),
+        (250, "auto", 8, 1),
+        (251, "auto", 8, 8),
+        (1025, "auto", 16, 8),
+        (1025, 3, 3, 3),
+        (20, 3, 3, 1),
+    ],
+)
+def test_images_and_their_pairs_are_dealt_out_by_their_number(shipped, tmp_path, n, stated, jobs, threads):
+    """Of a twin as it will take them; of a survey as they lie in folders and below."""
+    of_parts = {"parts": stated}
+    (tmp_path / "below").mkdir()
+    for k in range(n):
+        (tmp_path / ("below" if k % 2 else "") / f"{k}.JPG").touch()
+    (tmp_path / "readme.txt").touch()
+    real = survey(
+        logs={"time_lapse": {"images": [str(tmp_path)]}}, images={"features": of_parts, "mapping": of_parts}
+    )
+    twin = replace(
+        shipped["tiny"],
+        campaigns={"tiny": shipped["tiny"].campaign.model_copy(update={"images": real.campaign.images})},
+        twin_images=lambda _: n,
+    )
+    for files in (real, twin):
+        assert (files.n_parts("features"), files.n_parts("mapping")) == (jobs, jobs)
+        assert len(files.feature_parts()) == len(files.pair_parts()) == jobs
+        assert files.mapper_threads() == threads
+    assert n_images(shipped["tiny"].campaign) > 0 == n_images(shipped["basin_tiny"].campaign)
 
 
 def test_a_survey_takes_clock_lens_and_boat_of_its_calibration(shipped):

@@ -100,6 +100,7 @@ FILES = {
         name=name,
         campaigns=CAMPAIGNS,
         twin_logs=laboratory.twin_logs,
+        twin_images=laboratory.n_images,
         log_length_s=log_length_s,
         on_cluster=workflow.non_local_exec or workflow.remote_exec,
     )

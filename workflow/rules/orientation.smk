@@ -94,12 +94,12 @@ rule extract_features:
     output:
         features=temp("results/{campaign}/orientation/sfm/features_{part}.npz"),
     priority: URGENT
-    threads: 2
     resources:
         mem_mb=memory(3200),
         runtime=minutes(60),
     params:
         part=lambda wildcards: int(wildcards.part),
+        parts=of(CampaignFiles.n_parts, "features"),
         options=section("images", "features"),
         device=section("images", "device"),
     script:
@@ -118,12 +118,12 @@ rule match_features:
     output:
         pairs=temp("results/{campaign}/orientation/sfm/pairs_{part}.npz"),
     priority: URGENT
-    threads: 2
     resources:
         mem_mb=memory(2800, 20),
         runtime=minutes(60),
     params:
         part=lambda wildcards: int(wildcards.part),
+        parts=of(CampaignFiles.n_parts, "mapping"),
         options=section("images", "mapping"),
         device=section("images", "device"),
         folders=of(CampaignFiles.interior_folders),

@@ -15,13 +15,14 @@ def main(
     masks: list[Path],
     features: Path,
     part: int,
+    parts: int,
     options: FeatureSettings,
     threads: int,
     device: str,
 ) -> None:
     log = logging.getLogger("thalweg")
     folder = masks[0] if masks and masks[0].is_dir() else masks[0].parent if masks else None
-    mine = part_of(named_images(images), part, options.parts)
+    mine = part_of(named_images(images), part, parts)
     found = extract_features(mine, masks=folder, settings=options, threads=threads, device=device)
     for picture in found.pictures:
         if picture.problem:

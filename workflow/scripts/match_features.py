@@ -20,6 +20,7 @@ def main(
     trajectory: list[Path],
     pairs: Path,
     part: int,
+    parts: int,
     options: MappingSettings,
     folders: list[str],
     threads: int,
@@ -34,9 +35,9 @@ def main(
         trajectory=trajectory,
     )
     plan, descriptor = plan_of(inputs, options)
-    rows = part_of_pairs(plan, part, options.parts)
+    rows = part_of_pairs(plan, part, parts)
     log = logging.getLogger("thalweg")
-    log.info("part %d of %d: %d of %d pairs", part + 1, options.parts, len(rows), len(plan.pairs))
+    log.info("part %d of %d: %d of %d pairs", part + 1, parts, len(rows), len(plan.pairs))
     found = compare_pairs(plan, descriptor, rows, settings=options, threads=threads, device=device)
     log.info("%d pairs have common points", np.count_nonzero(np.diff(found.pair_start)))
     found.write(pairs)

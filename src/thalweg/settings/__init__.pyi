@@ -1,4 +1,5 @@
 from .campaign import ID_PATTERN as ID_PATTERN, Campaign as Campaign
+from .checks_files import photographs_in as photographs_in
 from .checks_place import mount_sources as mount_sources, utm_code as utm_code
 from .generate import schema_text as schema_text, write_generated as write_generated
 from .load import (

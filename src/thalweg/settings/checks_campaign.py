@@ -3,7 +3,6 @@
 Also here: do the recordings of the light-sheet sensor belong together, and does the twin's object make sense?
 """
 
-import contextlib
 import datetime as dt
 import math
 import re
@@ -15,7 +14,7 @@ from typing import Any, Final
 from thalweg.core import Key, Mistake
 from thalweg.settings.campaign import ID_PATTERN, LABORATORY
 from thalweg.settings.checks_epochs import check_epochs
-from thalweg.settings.checks_files import IMAGE_ENDINGS, check_files, no_path
+from thalweg.settings.checks_files import check_files, no_path, photographs_in
 from thalweg.settings.checks_place import (
     check_base,
     check_crs,
@@ -119,7 +118,7 @@ def check_sheet_logs(logs: Logs, files: Mapping[str, tuple[str, ...]]) -> Iterat
         "one file",
         "Name the one that belongs to these recordings; another day is another campaign",
     )
-    images = _images(files.get(streams["grid_images"], ()))
+    images = len([*photographs_in(files.get(streams["grid_images"], ()))])
     if images > 1:
         yield mistake(
             "logs.light_sheet.grid_images",
@@ -135,16 +134,6 @@ def check_sheet_logs(logs: Logs, files: Mapping[str, tuple[str, ...]]) -> Iterat
                 "one of both in a campaign: the boat's logs would not be used",
                 "Make a campaign of its own for them",
             )
-
-
-def _images(paths: tuple[str, ...]) -> int:
-    """Images among files and in folders; a folder that cannot be read is another check's."""
-    count = 0
-    for path in map(Path, paths):
-        with contextlib.suppress(OSError):
-            inside = path.iterdir() if path.is_dir() else None
-            count += 1 if inside is None else sum(p.suffix.lower() in IMAGE_ENDINGS for p in inside)
-    return count
 
 
 # ---------------------------------------------------------------- recordings of a calibration field

@@ -1,7 +1,7 @@
 """Are the logs there, are they files with content, and is each named once?"""
 
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Final
 
@@ -172,7 +172,7 @@ def _check_folder(where: tuple[Key, ...], text: str, folder: Path, *, photograph
             "Check the permissions of the folder",
         )
         return
-    if not (_has_photographs(folder) if photographs else names):
+    if not (any(photographs_in([folder])) if photographs else names):
         what = "no photograph" if photographs else "nothing"
         yield mistake(
             where,
@@ -182,10 +182,11 @@ def _check_folder(where: tuple[Key, ...], text: str, folder: Path, *, photograph
         )
 
 
-def _has_photographs(folder: Path) -> bool:
-    """Whether a folder or one below it holds files that end like photographs."""
-    walked = os.walk(folder, followlinks=True)
-    return any(name.lower().endswith(IMAGE_ENDINGS) for _, _, names in walked for name in names)
+def photographs_in(paths: Iterable[str | Path]) -> Iterator[str]:
+    """Names that end like those of photographs, of files and in folders and those below them."""
+    for path in map(Path, paths):
+        walked = os.walk(path, followlinks=True) if path.is_dir() else [("", [], [path.name])]
+        yield from (name for _, _, names in walked for name in names if name.lower().endswith(IMAGE_ENDINGS))
 
 
 def _check_nested(
@@ -196,7 +197,7 @@ def _check_nested(
         over = next((folder for folder in path.parents if folder in folders), None)
         if over is None or "mask" in str(path.relative_to(over)).lower():
             continue
-        if not (path.suffix.lower() in IMAGE_ENDINGS or (path.is_dir() and _has_photographs(path))):
+        if not any(photographs_in([path])):
             continue
         before = mistake(folders[over], "").dotted
         yield mistake(

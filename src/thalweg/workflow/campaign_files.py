@@ -11,14 +11,17 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Final, Literal
 
-from thalweg.settings import Campaign
-from thalweg.settings.sections import Epoch, scan_stream
+from thalweg.settings import Campaign, photographs_in
+from thalweg.settings.sections import IMAGES_OF_JOB, LARGE_BLOCK, MOST_JOBS, Epoch, scan_stream
 
 TwinLogs = Callable[[Campaign], Mapping[str, Sequence[str]]]
 """Logs that a digital twin writes: stream -> names below ``results/<campaign>/simulation/logs``."""
 
 LogLength = Callable[[Sequence[str], Mapping[str, Any]], float]
 """Files of a lidar's log and options of its decoding -> about its length, seconds."""
+
+ImageCount = Callable[[Campaign], int]
+"""How many images the boat's camera of a digital twin takes."""
 
 _STREAMS: Final = {"lidar": "lidar", "ins": "ins", "sbet": "ins", "sbp": "gnss", "depth": "depth"}
 """Logs, and how the rules that read them name their results."""
@@ -73,6 +76,11 @@ def _with_parts(files: Iterable[str]) -> list[str]:
     return found
 
 
+def _no_images(campaign: Campaign) -> int:
+    """Images of a twin where no laboratory is at hand."""
+    return 0
+
+
 def _no_twin(campaign: Campaign) -> Mapping[str, Sequence[str]]:
     """Logs of a twin where no laboratory is at hand."""
     return {}
@@ -106,6 +114,7 @@ class CampaignFiles:
     name : id of the campaign.
     campaigns : all chosen ones and those that they name, by id.
     twin_logs : names of the logs that a twin writes.
+    twin_images : how many images the twin's boat takes.
     log_length_s : about how long a log of the lidar is, by its files and `lidar_options`; NaN: not known.
     on_cluster : jobs run on other machines, beside each other.
     """
@@ -113,6 +122,7 @@ class CampaignFiles:
     name: str
     campaigns: Mapping[str, Campaign]
     twin_logs: TwinLogs = _no_twin
+    twin_images: ImageCount = _no_images
     log_length_s: LogLength = _no_length
     on_cluster: bool = False
 
@@ -158,10 +168,24 @@ class CampaignFiles:
         """The section `accuracy` without the cross sections, which are a picture's."""
         return self.without("accuracy", "sections")
 
+    @cached_property
+    def _n_images(self) -> int:
+        """Images of the boat's camera, or photographs without a boat."""
+        if self.campaign.twin is not None:
+            return self.twin_images(self.campaign)
+        return sum(1 for _ in photographs_in(self.logs("time_lapse")))
+
+    def n_parts(self, of: Literal["features", "mapping"]) -> int:
+        """Jobs among which the images, or their pairs, are dealt out."""
+        stated = getattr(self.campaign.images, of).parts
+        if stated != "auto":
+            return int(stated)
+        return min(max(math.ceil(self._n_images / IMAGES_OF_JOB), 1), MOST_JOBS)
+
     def mapper_threads(self) -> int:
-        """Of structure from motion: one for each part of the pairs, as who has parts has a large block."""
-        mapping = self.campaign.images.mapping
-        return max(min(mapping.parts, 8), 1 if mapping.repeatable else 2)
+        """Of structure from motion: large blocks have parts of their own, mapped at the same time."""
+        parts = min(self.n_parts("mapping"), 8) if self._n_images > LARGE_BLOCK else 1
+        return max(parts, 1 if self.campaign.images.mapping.repeatable else 2)
 
     def identity(self, *keys: str) -> dict[str, Any]:
         """Only those keys of the section `campaign`, so that a new title reruns pictures alone."""
@@ -568,13 +592,13 @@ class CampaignFiles:
 
     def feature_parts(self) -> list[str]:
         """The features of all parts of the images."""
-        parts = self.campaign.images.features.parts
-        return [self._result(f"orientation/sfm/features_{part}.npz") for part in range(parts)]
+        parts = range(self.n_parts("features"))
+        return [self._result(f"orientation/sfm/features_{part}.npz") for part in parts]
 
     def pair_parts(self) -> list[str]:
         """The compared pairs of images of all parts."""
-        parts = self.campaign.images.mapping.parts
-        return [self._result(f"orientation/sfm/pairs_{part}.npz") for part in range(parts)]
+        parts = range(self.n_parts("mapping"))
+        return [self._result(f"orientation/sfm/pairs_{part}.npz") for part in parts]
 
     def has_finished_orientations(self) -> bool:
         """True if another program has oriented the images of a survey."""

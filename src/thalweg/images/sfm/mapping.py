@@ -20,7 +20,7 @@ from thalweg.core import NMAD, ArrayB, ArrayF, ArrayI, Camera, InputError
 from thalweg.images.model import ImageBlock
 from thalweg.images.sfm.colmap import SEED, colmap, from_colmap, uses_gpu
 from thalweg.images.sfm.matching import Matches, fill_database
-from thalweg.settings.sections import MappingSettings
+from thalweg.settings.sections import LARGE_BLOCK, MappingSettings
 
 _CLASSES: Final = 8
 _LEAST_IN_CLASS: Final = 50
@@ -57,8 +57,6 @@ _STILL: Final = 1e-3
 """Share of the longer side by which points move at most in pictures of a camera that stood still."""
 _WIDEST: Final = 1.0 / 3.0
 """Focal length over the longer side: a perspective lens of 112 degrees; wider ones are fisheyes."""
-_TOGETHER: Final = 250
-"""Images that are mapped in one; parts of more are mapped at the same time."""
 _SHARED: Final = 30
 """Images that a part of a larger block shares with the next one."""
 _SEARCHED: Final = 2048
@@ -100,7 +98,7 @@ def map_images(
         return Mapped(pieces=(), facts={**told, "notes": [], "pieces": []})
     with tempfile.TemporaryDirectory(prefix="thalweg-block-") as temporary:
         folder = Path(temporary)
-        large = use.method == "incremental" and len(matches.order) > _TOGETHER
+        large = use.method == "incremental" and len(matches.order) > LARGE_BLOCK
         searched = _of_most_pairs(matches) if large else matches
         notes = fill_database(folder / "block.db", searched)
         if on_gpu:
@@ -266,7 +264,7 @@ def _in_parts(
     o = pc.HierarchicalPipelineOptions()
     o.incremental_options = _options(pc, matches, use, 1, on_gpu)
     o.num_threads = o.num_workers = max(1, threads)
-    o.clustering_options.leaf_max_num_images, o.clustering_options.image_overlap = _TOGETHER, _SHARED
+    o.clustering_options.leaf_max_num_images, o.clustering_options.image_overlap = LARGE_BLOCK, _SHARED
     (folder / "parts").mkdir()
     made = pc.hierarchical_mapping(folder / "block.db", folder, folder / "parts", o)
     models: list[Any] = []
@@ -288,7 +286,7 @@ def _in_parts(
         taken.fix_gauge(pc.BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
         adjustment = _adjustment(pc, estimated, estimated, on_gpu)
         pc.create_default_bundle_adjuster(adjustment, taken, model).solve()
-    notes.append(f"{n} images were mapped in overlapping parts of at most {_TOGETHER}")
+    notes.append(f"{n} images were mapped in overlapping parts of at most {LARGE_BLOCK}")
     return models
 
 
@@ -332,7 +330,7 @@ def _options(pc: Any, matches: Matches, use: MappingSettings, threads: int, on_g
     o.triangulation.ignore_two_view_tracks = len(matches.order) > 2
     o.mapper.random_seed = o.triangulation.random_seed = SEED
     o.mapper.num_threads = threads
-    if len(matches.order) > _TOGETHER:
+    if len(matches.order) > LARGE_BLOCK:
         o.ba_global_frames_ratio = o.ba_global_points_ratio = _GROWTH
     o.constant_cameras = o.mapper.constant_cameras = held_cameras(matches, use)
     o.mapper.abs_pose_refine_focal_length = o.mapper.abs_pose_refine_extra_params = estimated

@@ -42,6 +42,9 @@ from .fusion import (
     Vertical as Vertical,
 )
 from .images import (
+    IMAGES_OF_JOB as IMAGES_OF_JOB,
+    LARGE_BLOCK as LARGE_BLOCK,
+    MOST_JOBS as MOST_JOBS,
     BlockAdjustment as BlockAdjustment,
     CameraCloud as CameraCloud,
     ControlSettings as ControlSettings,

@@ -3,7 +3,7 @@
 Also sections ``rig`` and ``panorama``: a camera with two fisheye lenses back to back, and its panoramas.
 """
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, Final, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -17,6 +17,14 @@ Pixels = Annotated[int, Field(ge=0, le=100_000)]
 Device = Literal["auto", "cpu", "cuda"]
 
 # ---------------------------------------------------------------- structure from motion
+
+
+LARGE_BLOCK: Final = 250
+"""More images are mapped in overlapping parts of that many."""
+IMAGES_OF_JOB: Final = 32
+MOST_JOBS: Final = 16
+"""Among so many jobs images are dealt out by themselves."""
+PartCount = Annotated[int, Field(ge=1, le=1000)] | Literal["auto"]
 
 
 class FeatureSettings(Section):
@@ -43,11 +51,10 @@ class FeatureSettings(Section):
     min_features: int = Field(
         default=50, ge=8, le=10_000, description="An image with fewer features takes no part"
     )
-    parts: int = Field(
-        default=1,
-        ge=1,
-        le=1000,
-        description="Jobs among which the images are dealt out; the result is the same for any number",
+    parts: PartCount = Field(
+        default="auto",
+        description="Jobs among which the images are dealt out, `auto`: one for each 32, 16 at most; the "
+        "result is the same for any number",
     )
 
 
@@ -80,11 +87,10 @@ class MappingSettings(Section):
     max_neighbours: int = Field(
         default=20, ge=1, le=500, description="Neighbours in space that an image is compared with at most"
     )
-    parts: int = Field(
-        default=1,
-        ge=1,
-        le=1000,
-        description="Jobs among which the pairs are dealt out; the result is the same for any number",
+    parts: PartCount = Field(
+        default="auto",
+        description="Jobs among which the pairs are dealt out, as `features.parts`; the result is the same "
+        "for any number",
     )
     min_inliers: int = Field(
         default=15, ge=8, le=1000, description="Common points that a pair of images must have"
