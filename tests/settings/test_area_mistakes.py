@@ -42,15 +42,18 @@ def drawn(path: Path, shapes: list[Any], crs: str | None = "EPSG:25833", **colum
 SQUARE = shapely.box(0.0, 0.0, 40.0, 30.0)
 
 
-def test_a_file_of_a_gis_in_place_of_corners(write, tmp_path):
-    """Each setting of corners by hand takes a file: in degrees, of several polygons one, on the map."""
+def test_a_file_of_a_gis_in_place_of_corners(write, tmp_path, caplog):
+    """Each setting of corners by hand takes a file: in degrees, of several polygons one, on the map.
+
+    What the file made us leave out is told.
+    """
     frame = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
     corners = np.array([[0.0, 0.0], [40.0, 0.0], [40.0, 30.0], [0.0, 30.0]])
     on_map = frame.to_map(np.column_stack([corners, np.zeros(4)]), CRS("EPSG:25833"))[:, :2]
     area = shapely.Polygon(on_map)
     away = shapely.transform(area, lambda xy: xy + 200.0)
     drawn(tmp_path / "areas.gpkg", [area, away], name=["bank", "meadow"])
-    drawn(tmp_path / "weir.shp", [shapely.Point(on_map[1])])
+    drawn(tmp_path / "weir.shp", [shapely.Point(on_map[1]), None])
     gpd.GeoDataFrame(geometry=[area], crs="EPSG:25833").to_crs(4326).to_file(tmp_path / "area.geojson")
     campaign = load_campaign(
         write("""
@@ -71,6 +74,7 @@ def test_a_file_of_a_gis_in_place_of_corners(write, tmp_path):
     assert len(campaign.fusion.fit.stable) == 1
     same(campaign.bathymetry.islands[0], corners)
     np.testing.assert_allclose(campaign.fusion.weir, corners[1], atol=1e-3)
+    assert caplog.messages == ["fusion.weir: weir.shp: 1 without a geometry, left out"]
 
 
 @pytest.mark.parametrize(

@@ -5,6 +5,7 @@ drawn anew runs anew what depends on it.
 """
 
 import copy
+import logging
 from pathlib import Path
 from typing import Any, Final
 
@@ -65,6 +66,8 @@ def _corners(path: tuple[Key, ...], file: Path, data: dict[str, Any], on_map: bo
             "a file, and no map and origin to place it by", expected="campaign.crs and campaign.origin"
         )
     drawn = read_vectors(file).on_map(crs)
+    for note in drawn.notes:
+        logging.getLogger("thalweg").warning("%s: %s: %s", ".".join(map(str, path)), file.name, note)
     frame = LocalFrame(lat_deg=place[0], lon_deg=place[1], h_ell_m=place[2])
 
     def placed(xy: Any) -> list[list[float]]:
