@@ -174,6 +174,21 @@ def test_marked_points_are_left_out_and_counted(tmp_path):
         read_cloud(a_las(tmp_path / "b.laz", points(), withheld=np.ones(N, bool)))
 
 
+def test_coordinates_that_ran_out_of_integers_are_none(tmp_path):
+    """As by a writer that forgot the offset: its numbers end at 2,147,483,647 steps."""
+    path = a_las(tmp_path / "a.las", points())
+    las = laspy.read(path)
+    las.Y[:7], las.X[7:9], las.Z[8:10] = -(2**31), 2**31 - 1, 2**31 - 2
+    las.write(path)
+    cloud = read_cloud(path)
+    assert cloud.points[1:] == pytest.approx(points()[10:], abs=1e-6)
+    assert cloud.report.losses == {"points_beyond_the_range_of_the_numbers_in_the_file": 9}
+    las.Y[:] = -(2**31)
+    las.write(path)
+    with pytest.raises(InputError, match=r"no points but 200 points beyond the range .* offset near them"):
+        read_cloud(path)
+
+
 def test_readers_in_pieces_tell_the_log(tmp_path, caplog):
     path = a_las(tmp_path / "a.laz", points(), withheld=np.arange(N) < 30)
     assert sum(len(chunk["xyz_m"]) for chunk in iter_laz(path, 64)) == N - 30

@@ -710,9 +710,13 @@ def _kept(points: Any, counts: Counter[str]) -> Any:
     """Points of a laspy record that are meant; the others are counted under their first reason."""
     keep = np.ones(len(points), dtype=np.bool_)
     classes = np.asarray(points["classification"])
+    ends = np.iinfo(np.int32)
     reasons: list[tuple[str, ArrayB]] = [
         (f"points_{flag}", np.asarray(points[flag]) != 0) for flag in ("withheld", "synthetic")
     ]
+    # a writer whose offset was too far away for the range of the integers
+    beyond = np.any([np.isin(points.array[axis], (ends.min, ends.max)) for axis in "XYZ"], axis=0)
+    reasons.append(("points_beyond_the_range_of_the_numbers_in_the_file", beyond))
     for name, marked in (*reasons, *((name, classes == number) for number, name in _NOISE.items())):
         if n := int(np.count_nonzero(marked & keep)):
             counts[name] += n
