@@ -181,7 +181,7 @@ def read_las(path: Path, report: IntegrityReport) -> Cloud:
             f"the cloud has no points but {words}" if words else "the cloud has no points",
             expected="at least one point" + (" that is meant" if words else ""),
             where=path,
-            cure="Clear these flags or classes where the points are meant; write them with an offset near them"
+            cure="Clear these flags or classes where the points count; write them with an offset near them"
             if words
             else "Export it again, or name another file",
         )
