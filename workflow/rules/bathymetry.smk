@@ -68,7 +68,6 @@ rule krige_bed:
         bed="results/{campaign}/bathymetry/bed.tif",
         variogram="results/{campaign}/bathymetry/variogram.json",
         used="results/{campaign}/bathymetry/observations.parquet",
-    threads: 2
     resources:
         mem_mb=memory(2000, 20),
         runtime=minutes(30, 60),

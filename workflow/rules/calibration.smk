@@ -33,7 +33,6 @@ rule detect_markers:
         room="calibration|triangulation",
         marked="reference|boat|camera_field",
     priority: URGENT
-    threads: 2
     resources:
         mem_mb=memory(2000),
         runtime=minutes(60),

@@ -48,7 +48,6 @@ rule adjust_strips:
         observations="results/{campaign}/orientation/strips_observations.csv",
         facts="results/{campaign}/orientation/strips.json",
         page="results/{campaign}/orientation/strips.html",
-    threads: 2
     resources:
         mem_mb=memory(3000),
         runtime=minutes(20, 30),
@@ -82,7 +81,6 @@ rule georeference_lidar:
         counts="results/{campaign}/lidar/{by}counts.csv",
     log:
         "logs/{campaign}/lidar/{by}georeference_lidar.log",
-    threads: 2
     resources:
         mem_mb=memory(3000),
         runtime=minutes(10, 20),
@@ -117,7 +115,6 @@ rule export_copc:
         points="results/{campaign}/lidar/points_map.laz",
     output:
         out="results/{campaign}/lidar/points_map.copc.laz",
-    threads: 2
     resources:
         mem_mb=memory(1000),
         runtime=minutes(10, 60),
@@ -143,7 +140,6 @@ rule georeference_window:
         ],
     wildcard_constraints:
         chain="ins|camera|fused|strips",
-    threads: 2
     resources:
         mem_mb=memory(3000),
         runtime=minutes(10, 20),
@@ -189,7 +185,6 @@ rule colour_points:
         coloured="results/{campaign}/lidar/coloured.laz",
         counts="results/{campaign}/lidar/coloured.csv",
         gains="results/{campaign}/lidar/coloured_gains.csv",
-    threads: 2
     resources:
         mem_mb=memory(3000),
         runtime=minutes(20, 120),

@@ -292,7 +292,6 @@ rule simulate_uav:
     output:
         out_cloud="results/{campaign}/simulation/logs/uav.laz",
         out_effects="results/{campaign}/simulation/truth/uav_effects.json",
-    threads: 2
     resources:
         mem_mb=memory(3000),
         runtime=minutes(10),

@@ -92,7 +92,6 @@ rule simulate_display:
         out_folder=directory("results/{campaign}/simulation/logs/display"),
         out_truth="results/{campaign}/simulation/truth/display.parquet",
     priority: URGENT
-    threads: 2
     resources:
         mem_mb=memory(2000),
         runtime=minutes(20),
@@ -111,7 +110,6 @@ rule simulate_synthetic_view:
     output:
         view="results/{campaign}/simulation/pictures/synthetic_view.npz",
         lidar_frame="results/{campaign}/simulation/pictures/lidar_frame.parquet",
-    threads: 2
     resources:
         mem_mb=memory(3000),
         runtime=minutes(10),

@@ -75,7 +75,6 @@ rule read_display:
         display="results/{campaign}/timing/display.csv",
         stability="results/{campaign}/timing/clock_stability.json",
     priority: URGENT
-    threads: 2
     resources:
         mem_mb=memory(2000),
         runtime=minutes(20),

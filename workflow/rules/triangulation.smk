@@ -51,7 +51,6 @@ rule detect_sheet_lines:
     output:
         line_points="results/{campaign}/triangulation/{series}/line_points.parquet",
         counts="results/{campaign}/triangulation/{series}/line_counts.csv",
-    threads: 2
     resources:
         mem_mb=memory(2000),
         runtime=minutes(20),
