@@ -2,6 +2,7 @@
 
 import logging
 import re
+from functools import cache
 from itertools import product
 
 from snakemake.exceptions import WorkflowError
@@ -168,9 +169,18 @@ FRAME, CRS, SEED, RUN, TITLE = (
 TWIN = of(CampaignFiles.is_twin)
 
 
+# Of the jobs that are planned alone: all would be a seventh of a start of Snakemake.
+VERSIONS = cache(code_version)
+
+
+def version(script, called=None):
+    """Function for params: version of the code that a job runs."""
+    return lambda wildcards: VERSIONS(script, called)
+
+
 def calls(function, script="call"):
     """Params where the script is call.py or page.py: ``module:function`` that does the work, and its version."""
-    return {"code": code_version(script, function), "call": function}
+    return {"code": version(script, function), "call": function}
 
 
 def complete(each):
@@ -190,7 +200,7 @@ def complete(each):
     )
     each.conda_env = "../../envs/thalweg.yaml"
     if "code" not in each.params.keys():
-        each.set_params(code=code_version(Path(each.script).stem))
+        each.set_params(code=version(Path(each.script).stem))
 
 
 def raw(stream):

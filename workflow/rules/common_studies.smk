@@ -16,6 +16,6 @@ def of_study(key):
     return lambda wildcards, attempt: STUDIES[wildcards.study]["jobs"][key] * attempt
 
 
-def study_version(script, name):
-    """Version of the code of a script and of the study which it loads by name."""
-    return code_version(script, STUDIES[name]["study"])
+def study_version(script, name=None):
+    """Function for params: version of the code of a script and of the study which it loads by name."""
+    return lambda wildcards: VERSIONS(script, STUDIES[name or wildcards.study]["study"])

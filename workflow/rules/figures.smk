@@ -22,7 +22,7 @@ for row, suffix in product(FIGURES.drawn(), ["png", *sorted(VECTORS)]):
             runtime=minutes(10, 30),
         params:
             **row.params(FILES),
-            code=code_version("plot", row.draw),
+            code=version("plot", row.draw),
             draw=row.draw,
             shows=row.shows,
         script:

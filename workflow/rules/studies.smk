@@ -11,7 +11,7 @@ rule rows_of_study:
         mem_mb=of_study("memory_mb"),
         runtime=of_study("minutes"),
     params:
-        code=lambda wildcards: study_version("rows_of_study", wildcards.study),
+        code=study_version("rows_of_study"),
         study=lambda wildcards: STUDIES[wildcards.study]["study"],
         sizes=lambda wildcards: STUDIES[wildcards.study]["parameters"],
         kind=lambda wildcards: BATCHES[wildcards.study][wildcards.batch].kind,

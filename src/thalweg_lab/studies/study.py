@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import yaml
-from scipy.stats import chi2
 
 from thalweg.core import ArrayF, InputError, ThalwegError, read_parquet
 
@@ -151,6 +150,8 @@ def attempted(trial: Callable[[int], Mapping[str, Any]], seed: int) -> dict[str,
 
 def band_of_squares(n: int, level: float) -> tuple[float, float]:
     """Where the mean of n squared standard normal numbers lies, but for ``level`` of all cases."""
+    from scipy.stats import chi2  # half a second, which each start of Snakemake would wait for
+
     low, high = (float(chi2.ppf(q, n)) / n if n else np.nan for q in (level / 2, 1 - level / 2))
     return low, high
 
