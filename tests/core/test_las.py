@@ -1,6 +1,10 @@
 """LAZ clouds: round trips, the header's statements, what is refused, damaged files."""
 
+import io
+import struct
+
 import laspy
+import lazrs
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
@@ -17,7 +21,7 @@ from thalweg.core import (
     laz_header,
     local_crs,
 )
-from thalweg.core.las import read_laz
+from thalweg.core.las import laz_layout, read_laz, whole_chunks
 
 FRAME = LocalFrame(lat_deg=51.0501234567890123, lon_deg=13.25, h_ell_m=300.1)
 EXTRA = {
@@ -68,7 +72,36 @@ def test_round_trip(tmp_path, scale_m, suffix):
     assert header.frame == FRAME  # every digit of the origin
     assert (header.n_points, header.scale_m, header.format_version) == (71_001, scale_m, 1)
     assert header.extra_dimensions["range"] == ("<f4", "measured range, m")
+    assert header.notes == ()
+    low, high = given("xyz_m")[:1000].min(axis=0), given("xyz_m")[:1000].max(axis=0)
+    assert header.offsets_m == tuple(np.round((low + high) / 2))  # the middle of the first points
+    low, high = given("xyz_m").min(axis=0), given("xyz_m").max(axis=0)
+    assert_allclose(header.box_m, [low, high], rtol=0, atol=scale_m / 2 + 1e-9)
     assert not list(path.parent.glob(".*"))
+
+
+def test_limits_of_what_is_written(tmp_path):
+    """The coarsest scale, the longest name, the most returns, a time of 0, and the last number of 32 bits."""
+    extra = {"n" * 32: ("u1", "d" * 32)}
+    far = np.array([[-21_474_836.47, 0, 0], [21_474_836.47, 0, 0], [0, -21_474_836.48, 0]])
+    given = {"xyz_m": far + 3.0, "t_gps_s": [0.0, 1.0, 2.0], "extra": {"n" * 32: [0, 255, 7]}}
+    given |= {"return_number": [1, 15, 3], "number_of_returns": [15, 15, 3]}
+    path = written(tmp_path, given, extra_dimensions=extra, scale_m=0.01, offset_m=[3.0, 3.0, 3.0])
+    found, header = read_laz(path)
+    assert header.offsets_m == (3.0, 3.0, 3.0)
+    assert_allclose(found["xyz_m"], far + 3.0, rtol=0, atol=1e-8)
+    for name, values in (given | given["extra"]).items():
+        if name not in ("xyz_m", "extra"):
+            assert_array_equal(found[name], values)
+    for axis, sign in ((0, 1), (1, -1)):
+        beyond = np.zeros((2, 3))
+        beyond[1, axis] = sign * 21_474_836.49
+        with pytest.raises(
+            GeometryError, match=rf"{'xy'[axis]} = {beyond[1, axis]:.3f} m .* within 21474836"
+        ):
+            written(tmp_path, {"xyz_m": beyond}, extra_dimensions={}, scale_m=0.01, offset_m=np.zeros(3))
+    with pytest.raises(GeometryError, match=r"at most 0\.01 m"):
+        LazWriter(tmp_path / "b.laz", FRAME, scale_m=0.015)
 
 
 @pytest.mark.parametrize(
@@ -83,6 +116,167 @@ def test_scales_and_offsets_that_no_cloud_has(tmp_path, at, value):
     for read in (laz_header, read_laz):
         with pytest.raises(InputError, match=r"scales .*, offsets .*; expected scales between 0 and 10000"):
             read(path)
+
+
+def of_others(path, *, version="1.4", kind=6, n=20, bytes_more=0):
+    """A cloud by laspy with another scale along each axis."""
+    header = laspy.LasHeader(point_format=kind, version=version)
+    header.scales, header.offsets = np.array([0.001, 0.002, 0.005]), np.array([10.0, 20.0, 30.0])
+    header.add_extra_dims([laspy.ExtraBytesParams(f"more_{k}", "u1") for k in range(bytes_more)])
+    las = laspy.LasData(header)
+    las.xyz = np.arange(3.0 * n).reshape(n, 3)
+    las.write(str(path))
+    return path
+
+
+VERSIONS = [("1.0", 0), ("1.1", 1), ("1.2", 2), ("1.2", 3), ("1.3", 4), ("1.3", 5)]
+
+
+@pytest.mark.parametrize(("version", "kind"), [*VERSIONS, *(("1.4", kind) for kind in range(6, 11))])
+def test_any_version_and_point_format_without_a_byte_to_spare(tmp_path, version, kind):
+    path = of_others(tmp_path / "a.las", version="1.1" if version == "1.0" else version, kind=kind)
+    raw = bytearray(path.read_bytes())
+    raw[25] = int(version[-1])
+    path.write_bytes(raw)
+    found, header = read_laz(path)
+    assert (header.point_format, header.n_points) == (kind, 20)
+    assert_allclose(found["xyz_m"], np.arange(60.0).reshape(20, 3), atol=1e-9)
+    assert (header.scales_m, header.offsets_m) == ((0.001, 0.002, 0.005), (10.0, 20.0, 30.0))
+    # one point more than there can be
+    room = len(raw) - struct.unpack_from("<I", raw, 96)[0]
+    struct.pack_into(*(("<Q", raw, 247) if version == "1.4" else ("<I", raw, 107)), 1000 * room + 1001)
+    path.write_bytes(raw)
+    words = f"points: {1000 * room + 1001:,} in a file of {len(raw):,} bytes; expected 0 to "
+    with pytest.raises(InputError, match=f"{words}{1000 * room + 1000:,}"):
+        laz_header(path)
+
+
+def test_sizes_that_contradict_the_file(tmp_path):
+    path = written(tmp_path, {"xyz_m": np.ones((10, 3))}, name="a.las", extra_dimensions={})
+    good = path.read_bytes()
+    size, start = len(good), struct.unpack_from("<I", good, 96)[0]
+    n_vlrs = struct.unpack_from("<I", good, 100)[0]
+    whole = f"in a file of {size:,} bytes; expected"
+    for numbers, words in (
+        ({94: ("<H", 374)}, f"header size: 374 {whole} 375 to {size:,}"),
+        ({94: ("<H", size + 1)}, f"header size: {size + 1:,} {whole} 375 to {size:,}"),
+        ({100: ("<I", 1000)}, f"first byte of the points: {start:,} {whole} 54,375 to {size:,}"),
+        (
+            {96: ("<I", 375 + 54 * n_vlrs - 1)},
+            f"points: {375 + 54 * n_vlrs - 1:,} {whole} {375 + 54 * n_vlrs:,}",
+        ),
+        ({96: ("<I", size + 1)}, f"first byte of the points: {size + 1:,} {whole}"),
+        (
+            {235: ("<QI", size - 119, 2)},
+            f"end of the extended VLRs: {size + 1:,} {whole} {start:,} to {size:,}",
+        ),
+        ({235: ("<QI", start - 121, 2)}, f"end of the extended VLRs: {start - 1:,} {whole} {start:,}"),
+        ({104: ("<B", 11)}, f"point format: 11 {whole} 0 to 10"),
+        ({105: ("<H", 29)}, f"point record length: 29 {whole} 30 to 1,024"),
+        ({105: ("<H", 1025)}, f"point record length: 1,025 {whole} 30 to 1,024"),
+        ({25: ("<B", 9)}, r"LAS version 1\.9; expected 1\.0 to 1\.4"),
+        ({24: ("<B", 2)}, r"LAS version 2\.4"),
+        ({131: ("<d", 1e4)}, "scales 10000, 0.001, 0.001"),
+        ({155: ("<d", 1e11)}, r"offsets 1e\+11, 1, 1; expected .*, offsets within 1e\+11 of 0"),
+        ({155: ("<d", -1e11)}, r"offsets -1e\+11"),
+        ({155: ("<d", 1.01e9)}, r"coordinates in steps of .* from \[1010000000\.0, 1\.0, 1\.0\]"),
+        ({155: ("<d", -1.01e9)}, "coordinates in steps of"),
+        ({247: ("<Q", 11)}, "the file ends after 10 points; expected 11 points"),
+    ):
+        raw = bytearray(good)
+        for at, (form, *values) in numbers.items():
+            struct.pack_into(form, raw, at, *values)
+        path.write_bytes(raw)
+        with pytest.raises(InputError, match=words):
+            read_laz(path)
+    for n, words in (
+        (3, "begins with 4c 41 53; expected 4c 41 53 46"),
+        (226, "cut inside the header: 226 bytes; expected at least 227"),
+        (374, "cut inside the header: 374 bytes; expected at least 375"),
+        (375, "header size|first byte of the points"),
+    ):
+        path.write_bytes(good[:n])
+        with pytest.raises(InputError, match=words):
+            laz_header(path)
+    for number in (0.99e9, -0.99e9):
+        raw = bytearray(good)
+        struct.pack_into("<d", raw, 155, number)
+        path.write_bytes(raw)
+        assert laz_header(path).offsets_m[0] == number
+
+
+@pytest.mark.parametrize(
+    ("version", "kind", "bytes_more", "layers"),
+    [("1.2", 3, 0, 0), ("1.4", 6, 0, 9), ("1.4", 6, 2, 11), ("1.4", 7, 0, 10), ("1.4", 8, 0, 11)],
+)
+def test_layout_of_compressed_points(tmp_path, version, kind, bytes_more, layers):
+    """Nine layers of a point, one of colours, one more of infrared, and one of each byte more."""
+    path = of_others(tmp_path / "a.laz", version=version, kind=kind, bytes_more=bytes_more)
+    layout = laz_layout(path)
+    assert (layout.record, layout.layers) == ({3: 34, 6: 30, 7: 36, 8: 38}[kind] + bytes_more, layers)
+    assert layout.start == struct.unpack_from("<I", path.read_bytes(), 96)[0]
+    assert bool(whole_chunks(path, layout)[0]) == bool(layers)
+    assert laz_layout(of_others(tmp_path / "a.las")) is None
+
+
+def test_chunks_that_contradict_the_file(tmp_path):
+    """The table behind the points, written as a library writes it, with sizes that are a byte off."""
+    path = written(tmp_path, columns(60_000))
+    good, layout = path.read_bytes(), laz_layout(path)
+    record, first = lazrs.LazVlr(layout.laszip), layout.start + 8
+    table_at = struct.unpack_from("<q", good, layout.start)[0]
+    with path.open("rb") as stream:
+        stream.seek(layout.start)
+        (_, a), (_, b) = lazrs.read_chunk_table(stream, record)
+    table = [(50_000, a), (10_000, b)]
+    assert whole_chunks(path, layout) == (table, table_at)
+
+    def patched(table=None, at=None, n=None, points=60_000):
+        raw = bytearray(good)
+        struct.pack_into("<Q", raw, 247, points)
+        if table is not None:
+            out = io.BytesIO()
+            lazrs.write_chunk_table(out, table, record)
+            raw[table_at:] = out.getvalue()
+        if at is not None:
+            struct.pack_into("<q", raw, layout.start, at)
+        if n is not None:
+            struct.pack_into("<I", raw, table_at + 4, n)
+        return bytes(raw)
+
+    most = (table_at - first) // layout.record
+    for raw, words in (
+        (
+            patched([(50_000, a - 1), (10_000, b + 1)]),
+            f"the layers of chunk 1 of 2 exceed its {a - 1:,} bytes",
+        ),
+        (patched([(50_000, a + 1), (10_000, b)]), f"chunk 2 of 2 claims {b:,} bytes"),
+        (patched(at=len(good) - 7), f"the chunk table should be at byte {len(good) - 7:,} of {len(good):,}"),
+        (patched(at=first - 1), f"the chunk table should be at byte {first - 1:,}"),
+        (patched(n=most + 1), f"{most + 1:,} chunks in {table_at - first:,} bytes"),
+        (patched(points=100)[: layout.start + 7], "the file ends before the points"),
+    ):
+        path.write_bytes(raw)
+        with pytest.raises(InputError, match=f"{words}.*; expected a chunk table that fits"):
+            read_laz(path)
+    # a writer that cannot go back leaves -1, and the place of the table at the end
+    path.write_bytes(patched(at=-1) + struct.pack("<q", table_at))
+    assert len(read_laz(path)[0]["xyz_m"]) == 60_000
+    assert whole_chunks(path, layout) == (table, table_at)
+    for end, left in ((table_at - 1, 1), (first + a, 1), (first + a - 1, 0), (first + 20, 0)):
+        path.write_bytes(good[:end])
+        assert whole_chunks(path, layout) == (table[:left], first + left * a)
+    at = good.index(b"laszip encoded") + 52
+    for place, form, value in ((0, "<H", 4), (12, "<I", 0), (12, "<I", (1 << 26) + 1), (36, "<H", 31)):
+        raw = bytearray(good)
+        struct.pack_into(form, raw, at + place, value)
+        path.write_bytes(raw)
+        with pytest.raises(InputError, match=r"the LASzip record .* contradicts 37-byte points"):
+            laz_layout(path)
+    raw = bytearray(good)
+    struct.pack_into("<I", raw, at + 12, 0xFFFFFFFF)  # chunks of any length
+    path.write_bytes(raw)
+    assert laz_layout(path).layers == layout.layers == 9 + 7
 
 
 def test_header_statements_as_laspy_reads_them(tmp_path):
@@ -155,6 +349,7 @@ def test_empty_cloud_is_a_valid_file(tmp_path):
     assert found["xyz_m"].shape == (0, 3)
     assert "range" in found
     assert header.frame == FRAME
+    assert header.offsets_m == (0.0, 0.0, 0.0)
 
 
 def test_an_error_leaves_the_old_file(tmp_path):
