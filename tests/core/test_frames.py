@@ -73,6 +73,12 @@ def test_attitude_round_trip(roll, pitch, heading):
     assert 0 <= float(h) < 2 * np.pi or float(h) == pytest.approx(2 * np.pi)
 
 
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_pitch_of_ninety_degrees_that_rounding_exceeds(sign):
+    R = rotation_enu_body(0.0, sign * np.pi / 2, 1.0)
+    assert roll_pitch_heading(R * (1 + 1e-12))[1] == pytest.approx(sign * np.pi / 2)
+
+
 def test_transform_has_its_parts():
     T = transform(rotation_z(0.3), [1, 2, 3])
     assert_allclose(T @ [1, 0, 0, 1], [np.cos(0.3) + 1, np.sin(0.3) + 2, 3, 1])
@@ -220,8 +226,10 @@ def test_a_point_of_a_grid_is_that_of_its_latitude_and_longitude():
     assert_allclose(there, FRAME.from_geodetic(lat, lon, h), atol=1e-6)
     # and back
     assert_allclose(FRAME.to_map(there, UTM)[..., 1], north, atol=1e-6)
-    with pytest.raises(GeometryError, match="outside"):
-        FRAME.from_map([[5_656_000.0, 377_000.0, 310.0]], UTM)  # northing before easting
+    for swapped in ([[5_656_000.0, 377_000.0, 310.0]], [[377_000.0, 5_656_000.0, 310.0], [1e9, 1e9, 310.0]]):
+        with pytest.raises(GeometryError, match="outside"):
+            FRAME.from_map(swapped, UTM)
+    assert np.isnan(FRAME.from_map([[np.nan, np.nan, 310.0]], UTM)[0, :2]).all()  # nothing is no error
 
 
 def test_a_grid_narrower_than_a_degree_has_an_area_of_use():

@@ -22,7 +22,7 @@ from thalweg.core.values import (
     utm_of,
     world_of,
 )
-from thalweg.core.values.places import _degrees, check_stated
+from thalweg.core.values.places import _degrees, accuracy_in_words, check_stated, way_between
 
 UTM = CRS("EPSG:32633")
 PLACES = np.array([[412000.0, 5650000.0], [412100.0, 5650100.0], [412030.0, 5650200.0]])
@@ -134,8 +134,11 @@ def test_limits_of_places():
     for lon in (8.8, 21.2):  # the zone has 12 to 18, and 3.1 beside it
         with pytest.raises(InputError, match=r"places about 51\.0000 N"):
             check([[lon, 51.0]], degrees=True)
-    for lon in (9.0, 21.0):
-        check([[lon, 51.0]], degrees=True)
+    for lon, lat in ((9.0, 51.0), (21.0, 51.0), (13.0, 84.9), (13.0, -0.9)):  # 0 to 84, and 1 beside it
+        check([[lon, lat]], degrees=True)
+    for lat in (85.1, -1.1):
+        with pytest.raises(InputError, match=r"places about .* 13\.0000 E"):
+            check([[13.0, lat]], degrees=True)
     with pytest.raises(InputError, match="no place"):
         check(np.zeros((0, 2)))
     check(PLACES, height_m=np.array([-11_900.0, 8_900.0, 9_100.0, np.nan]))  # most of those known
@@ -164,6 +167,33 @@ def test_the_whole_of_a_file_is_asked_whether_it_is_where_it_states(monkeypatch)
     assert asked[0].tolist() == points[::2, :2].tolist()
     check_stated(points - [412_000.0, 5_650_000.0, 0.0], UTM, where="a")
     assert len(asked) == 1
+
+
+def test_a_file_may_hold_a_whole_country(monkeypatch):
+    """Places 300 km from each other, and a map that stretches lengths by more than a tenth, or less."""
+    far = PLACES + np.array([[0.0, 0.0], [0.0, 0.0], [0.0, 300_000.0]])
+    check_stated(far, UTM, where="a")
+    check_stated(PLACES * 0.0 + [500.0, 500.0], UTM, where="a")  # a shift to near 0 is told elsewhere
+    with pytest.raises(InputError, match=r"1\.59 m for a metre of ground .* \(EPSG:32633\)"):
+        check_stated(np.array([[1_530_600.0, 6_621_300.0], [1_530_700.0, 6_621_300.0]]), CRS(3857), where="a")
+    near_equator = np.array([[1_530_600.0, 2_300_000.0], [1_530_700.0, 2_300_000.0]])  # 1 / cos(20 degrees)
+    check_stated(near_equator, CRS(3857), where="a")
+
+
+def test_ways_between_systems():
+    """A datum without a name is taken for one of today where its ellipsoid is, else there is no way."""
+    there = way_between(CRS(4326), UTM)
+    place = Transformer.from_crs(4258, 25833).transform(51.0, 13.75)
+    assert there.transform(13.75, 51.0) == pytest.approx(place, abs=1.0)
+    assert accuracy_in_words(there) == ""
+    told = way_between(CRS(9755), CRS(25833))  # WGS 84 (G2139): to ETRS89 by the WGS 84 of all times
+    told.transform(13.75, 51.0)
+    assert accuracy_in_words(told) == ", to about 3 m"
+    nameless = "+proj=utm +zone=33 +ellps={} +units=m +type=crs"
+    today = way_between(CRS(4326), CRS.from_proj4(nameless.format("GRS80")))
+    assert today.transform(13.75, 51.0) == pytest.approx(place, abs=1e-3)
+    for one, other in ((CRS(4326), CRS.from_proj4(nameless.format("bessel"))),):
+        assert way_between(one, other) is way_between(other, one) is None
 
 
 def test_where_nobody_uses_a_map():

@@ -7,7 +7,7 @@ from pyproj import CRS, Transformer
 from rasterio import Affine
 
 from thalweg.core import InputError, UnsupportedError, read_dsm
-from thalweg.core.values import crs_of_geokeys, in_metres, onto_map, same_heights
+from thalweg.core.values import crs_of_geokeys, in_metres, onto_map, refuse_depths, same_heights
 
 US_FOOT_M = 1200 / 3937
 CORNER = (440_000.0, 5_640_000.0)
@@ -126,6 +126,29 @@ def test_degrees_become_the_zone_of_their_middle(code):
     assert xyz == pytest.approx(np.column_stack([*expected, in_degrees[:, 2]]), abs=1e-3)
     assert "UTM zone 33N" in note
     assert same_heights(on_map, crs if crs.is_compound else CRS(25833).to_3d())
+
+
+def test_zones_all_around_the_earth():
+    """Both hemispheres, west and east, also counted beyond 180; at the limits of UTM, and beyond."""
+    for lon, lat, code in (
+        (-70.5, -33.0, 32719), (13.7, 0.1, 32633), (-180.0, 51.0, 32601), (179.9, 51.0, 32660),
+        (350.0, 51.0, 32629), (-346.3, 51.0, 32633), (13.7, 84.0, 32633), (13.7, -80.0, 32733),
+    ):  # fmt: skip
+        found, on_map, _ = onto_map(np.array([[lon, lat, 7.0]]), CRS(4326))
+        assert on_map.to_epsg() == code
+        expected = Transformer.from_crs(4326, code, always_xy=True).transform((lon + 180) % 360 - 180, lat)
+        assert found.tolist() == [pytest.approx([*expected, 7.0])]
+    for lon, lat in ((13.7, 84.1), (13.7, -80.1), (360.1, 51.0), (-360.1, 51.0)):
+        with pytest.raises(InputError, match="expected longitude and latitude in degrees, of a zone of UTM"):
+            onto_map(np.array([[lon, lat, 7.0]]), CRS(4326))
+
+
+def test_systems_whose_third_axis_counts_downwards_are_refused():
+    for code in ("EPSG:5715", "EPSG:4258+5715"):
+        with pytest.raises(InputError, match=r"a\.las: depths, positive downwards, .* MSL depth"):
+            refuse_depths(CRS(code), "a.las")
+    for crs in (None, CRS("EPSG:4258+7837"), CRS("EPSG:5714"), CRS(25833)):
+        refuse_depths(crs, "a.las")
 
 
 # ---------------------------------------------------------------- rasters

@@ -46,7 +46,6 @@ _OF_TODAY: Final = ("WGS 84", "GRS 1980")
 """Ellipsoids of systems that differ from WGS 84 by a metre or two."""
 _TOLD_M: Final = 1.0
 """Accuracy that PROJ states of WGS 84 and the systems of today: what is worse is told."""
-_EARTH_M: Final = (6.33e6, 6.40e6)
 _OLD_GRIDS: Final = (31466, 31467, 31468, 31469)
 """EPSG codes of grids of another datum, that of Germany until 1990 and after."""
 
@@ -410,11 +409,7 @@ def readings(
             bare = values - np.stack([zone * 1e6, 0 * zone, 0 * zone], axis=1)
             words = f"{other.name} with the zone before the easting"
             yield Reading(words, "Take the zone off", bare, grid, other)
-    if (
-        frame is not None
-        and form == grid
-        and _EARTH_M[0] < np.linalg.norm(np.median(values, axis=0)) < _EARTH_M[1]
-    ):
+    if frame is not None and form == grid:
         earth = np.column_stack(Transformer.from_crs(4978, 4979).transform(*values.T))
         yield Reading("Earth-centred coordinates", "Export coordinates of a map", earth, geodetic, None)
     for code in _OLD_GRIDS if frame is not None and form == grid else ():
@@ -433,12 +428,12 @@ def readings(
 
 
 def away_m(other: Reading, frame: LocalFrame) -> float:
-    """Median distance of places, as they may be meant, from the origin of a survey; or infinite."""
+    """Distance of a place, as it may be meant, from the origin of a survey; or infinite."""
     try:
         found = world_of(other.values, other.form, other.crs, frame)
     except GeometryError:
         return np.inf
-    return float(np.median(np.linalg.norm(found[:, :2], axis=1)))
+    return float(np.hypot(*found[0, :2]))
 
 
 def _grids(own: CRS | None, frame: LocalFrame | None) -> list[CRS]:
