@@ -109,6 +109,59 @@ def test_observation_2_with_continuation_lines(tmp_path):
         assert scan_rinex(write(tmp_path, "b.17o", text)).systems == (system,)
 
 
+def codes_2(n_codes, n_sat):
+    """RINEX 2.11 with so many codes and satellites, in full lines; no line feed behind the last one."""
+    text = line(f"{'     2.11':20s}{'OBSERVATION DATA':20s}G (GPS)", "RINEX VERSION / TYPE")
+    names = [f"    {name}" for name in ("C1", "L1", "D1", "S1", "P2", "L2", "S2", "D2", "C5", "L5", "S5")]
+    for k in range(0, n_codes, 9):
+        label = f"{n_codes:6d}" if not k else " " * 6
+        text += line(label + "".join(names[k : min(k + 9, n_codes)]), "# / TYPES OF OBSERV")
+    text += line("", "END OF HEADER")
+    satellites = [f"G{k:02d}" for k in range(1, n_sat + 1)]
+    rows = [min(5, n_codes - k) for k in range(0, n_codes, 5)]
+    for second in (14, 15):
+        lists = ["".join(satellites[k : k + 12]) for k in range(0, n_sat, 12)]
+        text += f" 17  5 12 18 45 {second:2d}.0000000  0{n_sat:3d}" + f"\n{'':32s}".join(lists) + "\n"
+        text += "".join("".join(f"{2e7:14.3f}  " for _ in range(n)) + "\n" for _ in satellites for n in rows)
+    return text[:-1]
+
+
+@pytest.mark.parametrize("n_codes", [4, 5, 6, 10, 11])
+@pytest.mark.parametrize("n_sat", [11, 12, 13, 24, 25])
+def test_full_lines_of_version_2(tmp_path, n_codes, n_sat):
+    """Five values and twelve satellites a line: no line more where the last one is full."""
+    path = write(tmp_path, "a.17o", codes_2(n_codes, n_sat) + "\n")
+    scan = scan_rinex(path)
+    assert not scan.losses
+    assert scan.n_satellite_records == 2 * n_sat
+    assert len(scan.codes["G"]) == n_codes
+    assert not scan.regular
+    assert whole_records(scan, path.read_bytes()) == path.read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("cut", "whole"),
+    [
+        (0, True),
+        (2, True),
+        (3, False),
+        (15, False),
+        (16, True),
+        (18, True),
+        (19, False),
+        (50, True),
+        (51, False),
+    ],
+)
+def test_a_last_value_that_is_cut(tmp_path, cut, whole):
+    """Four values of 14 columns, each with two of flags, in a last line without line feed."""
+    text = codes_2(4, 2)
+    for end in ("", "\r"):
+        scan = scan_rinex(write(tmp_path, "a.17o", text[: len(text) - cut] + end))
+        assert scan.losses == ({} if whole else {"epochs_cut": 1})
+        assert len(scan.t_gps_s) == 1 + whole
+
+
 @pytest.mark.parametrize(
     ("scale", "offset_s"), [("GPS", 0.0), ("GAL", 0.0), ("BDT", 14.0), ("BDS", 14.0), ("GLO", 18.0)]
 )
@@ -138,6 +191,51 @@ def test_navigation_2(tmp_path):
     assert scan.nav_t_gps_s["GPS"].size == 1
     assert utc_text_from_gps(float(scan.t_gps_s[0]), 0) == "2017-05-12T19:59:42Z"
     assert not scan.losses
+
+
+@pytest.mark.parametrize(
+    ("kind", "system", "utc_s"), [("GLONASS NAV DATA", "GLO", 18.0), ("H: GEO NAV MSG DATA", "SBS", 0.0)]
+)
+def test_navigation_2_of_one_system(tmp_path, kind, system, utc_s):
+    """GLONASS and SBAS have three lines behind the head; times of GLONASS are UTC."""
+    text = line(f"{'     2.11':20s}{kind}", "RINEX VERSION / TYPE") + line("", "END OF HEADER")
+    text += " 5 99  5 12 20  0  0.0-.463202595711D-04 .17D-11 .0D+00\n" + "    .48D+02 -.8D+01\n" * 3
+    scan = scan_rinex(write(tmp_path, "a.17g", text))
+    (t_gps_s,) = scan.nav_t_gps_s[system]
+    assert not scan.losses
+    utc = utc_text_from_gps(float(t_gps_s), 0)
+    # GPS - UTC was 13 s in 1999
+    assert utc == ("1999-05-12T20:00:00Z" if utc_s else "1999-05-12T19:59:47Z")
+    report = describe_rinex(scan.path)
+    assert (report.t_first_s, report.t_last_s) == (t_gps_s, t_gps_s)
+
+
+LINE_7 = "      .480000000000D+02 -.8D+01  .5D-08  .2D+01\n"
+
+
+@pytest.mark.parametrize(
+    ("change", "losses", "left"),
+    [
+        (lambda t: t, {}, "GRGS"),
+        (lambda t: t.replace(LINE_7 + "G03", "G03"), {"ephemerides_cut": 1}, "GGS"),
+        (lambda t: t.replace(LINE_7 + "R02", "R02"), {"ephemerides_cut": 1}, "RGS"),
+        (lambda t: t.removesuffix(LINE_7), {"ephemerides_cut": 1}, "GRG"),
+        (lambda t: t[:-1], {"ephemerides_cut": 1}, "GRG"),
+        (lambda t: t + LINE_7[:-1], {}, "GRGS"),
+        (lambda t: t.replace("R02 2017 05", "R02 2017 13"), {"ephemerides_garbled": 1}, "GGS"),
+        (lambda t: t.replace("R02 2017 05", "R02 1979 05"), {"ephemerides_garbled": 1}, "GGS"),
+        (lambda t: t.replace("R02 2017", "Q02 2017"), {"lines_unplaced": 4}, "GGS"),
+        (lambda t: t.replace("R02", "rubbish\nR02"), {"lines_unplaced": 1}, "GRGS"),
+    ],
+)
+def test_damage_of_ephemerides_is_local(tmp_path, change, losses, left):
+    path = write(tmp_path, "a.nav", change(nav_3("GRGS")))
+    scan = scan_rinex(path)
+    assert scan.losses == losses
+    assert "".join(scan.letters) == left
+    assert not losses or scan.first_loss.startswith("line ")
+    again = scan_rinex(write(tmp_path, "b.nav", whole_records(scan, path.read_bytes())))
+    assert (again.letters, dict(again.losses)) == (scan.letters, {})
 
 
 def test_navigation_4_skips_what_is_no_ephemeris(tmp_path):
@@ -312,6 +410,36 @@ def test_bad_files(tmp_path, data, kind, fragment):
         describe_rinex(path)
     assert fragment in str(caught.value)
     assert str(path) in str(caught.value)
+
+
+def test_the_report_of_observations_by_hand(tmp_path):
+    """Codes of each system, also on a second line; epochs backwards; a position of zeros, or of words."""
+    more = line("       C1W L1W", "SYS / # / OBS TYPES")
+    text = obs_3(3).replace("E    2 C1C", f"{more}E    2 C1C")
+    report = describe_rinex(write(tmp_path, "a.obs", text))
+    assert report.details["codes"] == {"GPS": "C1C L1C C2S L2S C1W L1W", "GAL": "C1C L1C"}
+    assert (report.details["time_system"], report.format) == ("GPS", "RINEX 3.04 observation")
+    assert report.time_scale == "gps"
+    assert not report.notes
+    glo = describe_rinex(write(tmp_path, "a.obs", obs_3(3, scale="GLO")))
+    assert glo.time_scale == "utc"
+    back = obs_3(3).replace("45 16.0", "45 13.0")
+    assert noted(describe_rinex(write(tmp_path, "a.obs", back)), "The epochs are not in order of time.")
+    same = obs_3(3).replace("45 16.0", "45 15.0")
+    assert noted(describe_rinex(write(tmp_path, "a.obs", same)), "The epochs are not in order of time.")
+    for position in ("        0.0000        0.0000        0.0000", "no position known", "1.0 nan 2.0", "1 2"):
+        report = describe_rinex(write(tmp_path, "a.obs", obs_3(3, position=position)))
+        assert noted(report, "The header holds no approximate position (it is absent or zero).")
+    on_axis = describe_rinex(write(tmp_path, "a.obs", obs_3(3, position="  6378137.0 0.0 0.0")))
+    assert on_axis.details["approx_ecef_m"] == [6378137.0, 0.0, 0.0]
+    assert not on_axis.notes
+    none = obs_3(3).replace("ANTENNA: DELTA H/E/N", "COMMENT")
+    assert describe_rinex(write(tmp_path, "a.obs", none)).details["antenna_delta_hen_m"] == [0.0, 0.0, 0.0]
+    navigation = describe_rinex(
+        write(tmp_path, "a.nav", nav_3("GG").replace("G02 2017 05 12", "G02 2017 05 13"))
+    )
+    assert navigation.t_last_s - navigation.t_first_s == 86_400.0
+    assert navigation.details["systems"] == "GPS"
 
 
 def test_header_only_is_said(tmp_path):

@@ -12,7 +12,8 @@ from tests.ingest import test_velodyne_log as log
 from tests.ingest.writers import nmea
 from thalweg.core import gps_from_unix
 from thalweg.ingest import LidarClock
-from thalweg.ingest.velodyne.clock import ClockBuilder, parse_rmc
+from thalweg.ingest.velodyne.clock import ClockBuilder, clocks_apart, parse_rmc
+from thalweg.ingest.velodyne.packets import GAP, STEP_BACK, PositionPacket
 from thalweg.ingest.velodyne.reader import iter_points, scan_lidar
 
 HOUR = 1_700_000_000 // 3600 * 3600
@@ -376,3 +377,164 @@ def test_rmc(sentence, unix_s, why):
     found, reason = parse_rmc(sentence)
     assert reason == why
     assert found == pytest.approx(unix_s, abs=0, nan_ok=True)
+
+
+# ---------------------------------------------------------------- limits of the clock, by hand
+
+
+def block(t_s, *positions, first=0, marked=None):
+    """Packets at these seconds; ``marked`` holds the distance from the packet before behind a hole."""
+    jump_us, event = np.zeros(len(t_s), np.int64), np.zeros(len(t_s), np.uint8)
+    for k, jump_s in (marked or {}).items():
+        jump_us[k - first], event[k - first] = round(jump_s * 1e6), GAP if jump_s > 0 else STEP_BACK
+    t_us = np.rint(np.array(t_s) * 1e6).astype(np.int64)
+    return SimpleNamespace(first_packet=first, t_us=t_us, event=event, jump_us=jump_us, positions=positions)
+
+
+def position(after, toh_s, rmc_s=None, pps=2, sentence=None):
+    """A position packet at this second of the hour, whose sentence is of another one."""
+    sentence = sentence if rmc_s is None else log.rmc(HOUR + rmc_s)
+    return PositionPacket(after_packet=after, toh_us=round(toh_s * 1e6), pps=pps, sentence=sentence or b"")
+
+
+def built(*blocks):
+    builder = ClockBuilder()
+    for each in blocks:
+        builder.feed(each)
+    return builder
+
+
+@pytest.mark.parametrize(
+    ("toh_s", "rmc_s", "lag_s"),
+    [
+        (100.4, 98, 2.4),
+        (100.6, 98, None),
+        (100.6, 103, 0.0),  # ahead of it
+        (100.4, 103, None),
+        (1.4, 3599, 2.4),  # over the hour
+        (3599.0, 3601, 0.0),
+    ],
+)
+def test_a_sentence_is_at_most_two_and_a_half_seconds_off(toh_s, rmc_s, lag_s):
+    builder = built(block(toh_s - np.array([0.3, 0.2, 0.1]), position(3, toh_s, rmc_s)))
+    clock = builder.finish()
+    over = 3600 * (rmc_s >= 3599 and toh_s < 2)  # the hour that has begun
+    if lag_s is None:
+        assert np.isnan(clock.gps_minus_device_s).all()
+        assert builder.counts["rmc_not_of_this_second"] == 1
+    else:
+        assert clock.first_packet == (0,)
+        assert clock.gps_minus_device_s == (GPS_HOUR + over,)
+        assert builder.worst_lag_s == pytest.approx(lag_s)
+        assert "rmc_not_of_this_second" not in builder.counts
+
+
+LOCKED_AT_10 = block([10.0, 10.1, 10.2], position(3, 10.25, 10))
+
+
+@pytest.mark.parametrize(
+    ("hole_s", "kept"), [(9.9, True), (10.1, False), (-0.5, False), (-0.001, False), (0.5, True)]
+)
+def test_a_hole_of_ten_seconds_and_a_step_back_leave_the_lock_open(hole_s, kept):
+    behind = block(10.2 + hole_s + np.array([0.0, 0.1]), first=3, marked={3: hole_s})
+    builder = built(LOCKED_AT_10, behind)
+    clock = builder.finish()
+    assert clock.gps_minus_device_s[0] == GPS_HOUR
+    assert len(clock.first_packet) == (1 if kept else 2)
+    if not kept:
+        last = builder.stretches[-1]
+        assert (last.first, last.why) == (3, "PPS state unknown after a hole")
+        assert (last.before_us, last.t_us) == (10_200_000, 10_200_000 + round(hole_s * 1e6))
+        assert np.isnan(clock.gps_minus_device_s[1])
+        # a report within five seconds holds for what came before it, a later one for five seconds
+        for late_s, first in ((0.15, 3), (4.95, 3)):
+            at = 10.2 + hole_s + late_s
+            more = block([at], position(6, at + 0.01, int(at)), first=5)
+            again = built(LOCKED_AT_10, behind, more).finish()
+            assert (again.first_packet, again.gps_minus_device_s) == ((0, first), (GPS_HOUR, GPS_HOUR))
+
+
+@pytest.mark.parametrize(
+    ("jump_s", "later_s", "is_set"),
+    [(1.1, 1.0, True), (0.9, 1.0, False), (-0.3, 1.0, True), (1.1, 4.9, True), (1.1, 5.1, False)],
+)
+def test_a_jump_of_a_free_clock_before_the_lock_is_its_setting(jump_s, later_s, is_set):
+    """By more than a second, or back, and within five seconds before the report of the lock."""
+    free = block([1.0, 1.1, 1.2], position(3, 1.21, pps=1))
+    t_s = 1.2 + jump_s + np.array([0.0, later_s])
+    jumped = block(t_s, position(5, t_s[1] + 0.01, int(t_s[1])), first=3, marked={3: jump_s})
+    builder = built(free, jumped)
+    assert builder.clock_set == ({3} if is_set else set())
+    assert builder.finish().gps_minus_device_s[-1] == GPS_HOUR
+
+
+@pytest.mark.parametrize(("ahead_s", "first"), [(0.9, 4), (1.1, 6)])
+def test_a_report_that_is_more_than_a_second_ahead_waits_for_its_packets(ahead_s, first):
+    """These fired before the clock was set, and come later; so the new time begins with the jump."""
+    free = block([1.0, 1.1, 1.2], position(3, 1.21, pps=0))
+    more = block([1.3, 1.4, 1.5], position(4, 1.3 + ahead_s, int(1.3 + ahead_s)), first=3)
+    jumped = block([1.5 + ahead_s], first=6, marked={6: 1.05})
+    clock = built(free, more, jumped).finish()
+    assert clock.first_packet == (0, first)
+    assert clock.gps_minus_device_s[1] == GPS_HOUR
+
+
+def test_reports_are_counted_by_state_and_what_is_wrong_with_them():
+    stale, damaged = log.rmc(HOUR + 10), log.rmc(HOUR + 20).replace(b"5112", b"5113")
+    builder = built(
+        LOCKED_AT_10,
+        block([20.5, 20.6], position(5, 20.65, sentence=stale), first=3),  # nothing new
+        block(
+            [20.7, 20.8, 20.9],
+            position(6, 20.71, pps=4),
+            position(6, 3600.0),
+            position(6, 20.75, sentence=b""),
+            position(7, 20.85, sentence=damaged),
+            first=5,
+        ),
+    )
+    assert builder.finish().gps_minus_device_s == (GPS_HOUR,)
+    assert builder.counts == {
+        "position_packets": 6, "position_packets_damaged": 2, "pps_locked": 4, "rmc_empty": 1,
+        "rmc_bad_checksum": 1, "rmc_not_of_this_second": 1,
+    }  # fmt: skip
+    builder.feed(block([21.0, 21.1], position(10, 21.15, 620), first=8))
+    assert builder.stretches[-1].why == "RMC and packet stamps disagree by 599 s"
+    assert builder.finish().first_packet == (0, 10)
+    builder.feed(block([21.2], position(11, 21.25, 620), first=10))
+    assert builder.finish().first_packet == (0, 10)  # the same once more
+
+
+def test_sentences_without_a_pps_are_kept_once():
+    one, two = log.rmc(HOUR + 5), log.rmc(HOUR + 6)
+    builder = built(
+        block(
+            [700.0, 701.0, 702.0, 703.0],
+            *(
+                position(k + 1, 700.25 + k, sentence=sentence, pps=0)
+                for k, sentence in enumerate((one, one, two, log.rmc(HOUR, status="V")))
+            ),
+        )
+    )
+    assert builder.sentences == [(700.25, GPS_HOUR + 5), (702.25, GPS_HOUR + 6)]
+    assert builder.stretches[-1].why == "PPS absent"
+
+
+def test_the_longest_silence_counts_up_to_now():
+    """Reports at 1 s and at 31 s, with a hole of 20 s between them; then none up to 50 s."""
+    builder = built(
+        block([1.0, 2.0], position(1, 1.0, 1)),
+        block([25.0, 31.0], position(4, 31.1, 31), first=2, marked={2: 20.0}),
+    )
+    assert builder.silence_s(31_000_000) == pytest.approx(10.0)
+    assert builder.silence_s(50_000_000) == pytest.approx(19.0)
+    assert ClockBuilder().silence_s(50_000_000) == 0.0
+
+
+def test_clocks_within_ten_seconds_are_no_matter():
+    t = float(gps_from_unix(HOUR))
+    assert clocks_apart(1.0, t) == clocks_apart(9.0, t) == ""
+    assert clocks_apart(7200.0, t) == (
+        "NMEA says 2023-11-14T22:00:00Z, the clock of the capture 2023-11-15T00:00:00Z: +2:00 h: a time zone"
+        ". Times follow NMEA."
+    )
