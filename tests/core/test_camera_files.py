@@ -15,6 +15,7 @@ from thalweg.core import (
     write_colmap,
     write_opencv,
 )
+from thalweg.core.camera import check_lens
 
 BROWN = Camera(
     model="perspective",
@@ -286,3 +287,31 @@ def test_files_that_are_no_text_or_lie_in_new_folders(tmp_path):
         write_colmap(tmp_path / "a/b/cameras.txt", {1: BROWN})
         write_opencv(tmp_path / "c/d/camera.yaml", BROWN)
     assert read_colmap(tmp_path / "a/b/cameras.txt")[1].name == "camera_1"
+
+
+def test_focal_lengths_and_principal_points_that_no_lens_has():
+    """A picture of 1000 x 400: both sides of each limit."""
+
+    def lens(fx=800.0, fy=800.0, cx=500.0, cy=200.0, size_px=(1000, 400)):
+        numbers = np.array([fx, fy, cx, cy, 0, 0, 0, 0, 0])
+        check_lens(Camera(model="perspective", size_px=size_px, parameters=numbers), "a.yaml")
+
+    for good in (
+        {"fx": 101.0, "fy": 101.0}, {"fx": 9.9e4, "fy": 9.9e4}, {"cx": 849.0}, {"cx": 151.0},
+        {"cy": 339.0}, {"cy": 61.0},
+    ):  # fmt: skip
+        lens(**good)
+    for bad in (
+        {"fx": 99.0}, {"fy": 99.0}, {"fx": 1.01e5}, {"fy": 1.01e5}, {"cx": 851.0}, {"cx": 149.0},
+        {"cy": 341.0}, {"cy": 59.0},
+    ):  # fmt: skip
+        with pytest.raises(InputError, match="pixels of this very picture"):
+            lens(**bad)
+    lens(cy=480.0, size_px=(1000, 960))  # the middle of 960 x 1000, nearly, too
+    # the middle of a picture of 400 x 1000, by less than a twentieth
+    for cx, cy in ((219.0, 481.0), (181.0, 520.0), (200.0, 549.0), (200.0, 451.0)):
+        with pytest.raises(InputError, match="middle of 400 x 1000"):
+            lens(cx=cx, cy=cy)
+    for cx, cy in ((221.0, 481.0), (179.0, 481.0), (200.0, 551.0)):
+        with pytest.raises(InputError, match="pixels of this very picture"):
+            lens(cx=cx, cy=cy)

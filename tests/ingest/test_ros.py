@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 from tests.ingest.writers import new_campaign, noted, read_or_refused
 from thalweg.cli import main
 from thalweg.core import InputError, LocalFrame, gps_from_unix, rotation_opk
-from thalweg.ingest import NAVIGATION_INITIALISED, LidarOptions, TrackOptions
+from thalweg.ingest import NAVIGATION_INITIALISED, IntegrityReport, LidarOptions, TrackOptions
 from thalweg.ingest.photos import read_image_stamps
 from thalweg.ingest.recorders import (
     mounts_of_bag,
@@ -29,6 +29,7 @@ from thalweg.ingest.recorders import (
     streams_of_bag,
     write_bag_images,
 )
+from thalweg.ingest.recorders.ros import _say_stamps, _times
 from thalweg.ingest.registry import (
     describe,
     lidar_reader,
@@ -306,6 +307,49 @@ def test_messages_of_a_livox(bag, timebase):
     assert (block.ring.tolist(), block.intensity.tolist()) == ([3, 3], [7, 7])
 
 
+@pytest.mark.parametrize(
+    ("field", "kind", "first", "last", "n", "stamp_s", "unit_s", "from_header"),
+    [
+        ("time", "f4", 0.0, 2.4, 1000, UNIX_S, 1.0, True),
+        ("time", "f4", 0.0, 2.6, 1000, UNIX_S, 1e-3, True),  # no lidar takes so long for a turn
+        ("time", "f4", -2.4, 0.1, 1000, UNIX_S, 1.0, True),
+        ("time", "f4", -2.6, 0.1, 1000, UNIX_S, 1e-3, True),
+        ("t", "u4", 0, 100_000, 5000, UNIX_S, 1e-9, True),
+        ("t", "u4", 0, 100_000, 5200, UNIX_S, 1e-6, True),  # no lidar measures so many in 0.1 ms
+        ("t", "i4", -100_000_000, 0, 5200, UNIX_S, 1e-9, True),
+        ("timestamp", "f8", 1.0e9 - 1.0, 1.0e9 + 0.1, 9, 5.0, 1.0, False),
+        ("timestamp", "f8", 1.0e9 - 1.0, 1.0e9 - 0.1, 9, 5.0, 1e-9, True),
+        ("timestamp", "f8", 4.0e9 - 1.0, 4.0e9 - 0.1, 9, 5.0, 1.0, False),
+        ("timestamp", "f8", 1.7e12, 1.7e12 + 1.0, 9, 5.0, 1e-3, False),
+        ("time", "f8", 1500.0, 1502.4, 9, 1500.0, 1.0, False),  # near the stamp of a device
+        ("time", "f8", 1500.0, 1502.6, 9, 1500.0, 1e-3, True),
+        ("time", "f8", 900.0, 900.1, 9, 900.0, 1e-3, True),
+        ("time", "f4", 1500.0, 1500.1, 9, 1500.0, 1.0, False),  # rounded to 0.1 ms
+        ("time_offset", "f4", 0.0, 0.1, 9, UNIX_S, 1.0, True),
+    ],
+)
+def test_units_of_times_on_both_sides_of_their_limits(
+    field, kind, first, last, n, stamp_s, unit_s, from_header
+):
+    rows = np.zeros(n, [("x", "f4"), (field, kind)])
+    rows[field] = np.linspace(first, last, n)
+    assert _times(rows, stamp_s) == (field, unit_s, from_header, "")
+
+
+@pytest.mark.parametrize(
+    ("lag_s", "note"),
+    [
+        (4.9, ""), (-5.1, "differs from the headers by -5.1 s"), (43_000.0, "by 43,000.0 s"),
+        (43_300.0, "is 0.5 days ahead"), (-86_400.0, "is 1.0 days ahead"),
+    ],
+)  # fmt: skip
+def test_the_recorders_clock_beside_the_headers(lag_s, note):
+    report = IntegrityReport(stream="lidar", format="bag", files=["a.bag"])
+    _say_stamps(report, np.array([0.0, lag_s, lag_s, lag_s, 1e9]))
+    assert len(report.notes) == 1 + bool(note)
+    assert note in report.notes[-1]
+
+
 def test_clouds_of_a_fixed_frame_are_refused(bag):
     bag.cloud("/cloud_registered", UNIX_S, sweep("t", "u4", 0), frame="map")
     with pytest.raises(InputError, match="frame map, which does not move with the lidar"):
@@ -333,12 +377,25 @@ LEVEL = (0.0, 0.0, 0.0, 1.0)
 HEELED = tuple(Rotation.from_euler("XZ", [5.0, 70.0], degrees=True).as_quat())
 
 
+def felt(tilt_deg, size=1.0):
+    """Acceleration in the body that stands so far from up for the attitude `HEELED`, in parts of gravity."""
+    away = np.deg2rad(tilt_deg)
+    seen = 9.81 * size * np.array([0.0, np.sin(away), np.cos(away)])
+    return tuple(Rotation.from_quat(HEELED).inv().apply(seen))
+
+
 @pytest.mark.parametrize(
     ("q", "felt", "why"),
     [
         (LEVEL, (0.1, 0.0, 9.8), "in every message: none was measured"),
         (HEELED, (0.0, 0.8, -9.8), "these point 1[678][0-9] degrees away from up"),  # forward, right, down
         (HEELED, (0.0, 0.1, 0.0), None),  # gravity as a filter takes it off
+        (HEELED, felt(19.0), None),
+        (HEELED, felt(21.0), "these point 21 degrees away from up"),
+        (HEELED, felt(90.0, 0.76), "these point 90 degrees away from up"),
+        (HEELED, felt(90.0, 1.24), "these point 90 degrees away from up"),
+        (HEELED, felt(90.0, 0.74), None),  # that is no gravity
+        (HEELED, felt(90.0, 1.26), None),
     ],
 )
 def test_an_imu_that_contradicts_itself_is_refused(bag, q, felt, why):

@@ -80,6 +80,43 @@ def test_lowrance_without_a_date_has_soundings_without_time(saved):
     assert not describe(path).synchronised
 
 
+@pytest.mark.filterwarnings("ignore::thalweg.core.timescales.LeapSecondWarning")  # 4e9 is in 2096
+@pytest.mark.parametrize(
+    ("unix", "dated"),
+    [
+        (946_684_800, False),
+        (946_684_801, True),
+        (3_999_999_999, True),
+        (4_000_000_000, False),
+        (2**32 - 1, False),
+    ],
+)
+def test_a_clock_of_lowrance_that_was_never_set(tmp_path, unix, dated):
+    (tmp_path / "log.sl2").write_bytes(sonar_log(2, unix=unix, n=3))
+    log = read_lowrance([tmp_path / "log.sl2"], TrackOptions())
+    assert log.report.synchronised == dated
+    assert noted(log, "The unit had no date") != dated
+
+
+def test_depths_of_lowrance_that_no_water_has(tmp_path):
+    """Deeper than 36,200 feet, below zero, or no number: none; of equal channels the primary one counts."""
+    depths_ft = [36_199.0, 36_201.0, -1.0, math.nan, 10.0]
+    data = bytearray(sonar_log(2, n=0))
+    for k, depth_ft in enumerate(depths_ft):
+        for channel in (2, 0, 1, 7):
+            data += frame(2, len(data), k, channel, 99.0 if channel == 7 else depth_ft, UNIX_S)
+    (tmp_path / "log.sl2").write_bytes(bytes(data) + b"rest")
+    log = read_lowrance([tmp_path / "log.sl2"], TrackOptions())
+    assert log.depths["depth_m"].tolist() == pytest.approx([36_199 * 0.3048, 0.0, 0.0, 0.0, 3.048])
+    assert (log.depths["line"].tolist(), set(log.depths["sentence"])) == ([1, 2, 3, 4, 5], {"Lowrance"})
+    assert log.soundings.index.tolist() == [0, 4]
+    counts = {"pings": 5, "pings_of_other_channels": 15, "pings_without_bottom": 3}
+    assert counts.items() <= log.report.counts.items()
+    assert log.report.losses == {"bytes_outside_frames": 4}
+    assert log.report.bytes_read == len(data) + 4
+    assert noted(log, "Depths of the primary channel")
+
+
 def test_lowrance_damage_is_counted_and_passed(tmp_path):
     whole = sonar_log(2)
     path = tmp_path / "log.sl2"

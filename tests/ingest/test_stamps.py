@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from tests.ingest.writers import nmea
-from thalweg.core import LocalFrame, gps_from_unix
+from thalweg.core import InputError, LocalFrame, gps_from_unix, gps_from_week
 from thalweg.ingest import (
     StreamTiming,
     doubtful_date,
+    explain_shift,
     fit_clock,
     gps_from_scale,
     possible_unix,
@@ -18,6 +19,7 @@ from thalweg.ingest import (
 )
 from thalweg.ingest.anpp import read_anpp
 from thalweg.ingest.nmea import read_nmea
+from thalweg.ingest.stamps import hours_text, regular_period, time_scale_words, weighted_median
 from thalweg.ingest.tracks import read_pos
 from thalweg_lab.instruments import simulate_ins
 from thalweg_lab.settings import TwinConfig
@@ -211,3 +213,114 @@ def test_times_against_the_scale_that_their_file_states():
         assert time_contradiction(2 * second + np.arange(-9.0, 1.0), scale) == ""
         assert time_contradiction(2 * second + np.arange(9.0, 39.0), scale) != ""
     assert "none was recorded" in time_contradiction(np.zeros(5), "adjusted_s")
+    assert time_contradiction([], "adjusted_s") == "there is no time"
+    # in the future, but possible; before 1980; after 2057
+    for t, possible in ((1.9e9, True), (-1.4e9, False), (3.0e9, False)):
+        assert (time_contradiction([t], "unix_s") == "") == possible
+        assert possible or "no times of a survey on any known scale" in time_contradiction([t], "unix_s")
+
+
+# ---------------------------------------------------------------- pieces by hand
+
+WEEKS_S = 1024 * 604_800.0
+
+
+@pytest.mark.parametrize(
+    ("shift_s", "words"),
+    [
+        # leap seconds: within a second of 18, or within 0.02 s of another whole number below it
+        (17.1, "+17 s: the leap seconds between GPS time and UTC"), (-18.9, "-19 s: the leap seconds"),
+        (16.9, ""), (19.1, ""),
+        (16.99, "+17 s: leap seconds that one"), (-1.015, "-1 s: leap seconds that one"),
+        (1.03, ""), (0.01, ""), (0.985, "+1 s: leap"), (20.0, ""),
+        # quarters of an hour, to within 30 s, up to 14 h
+        (930.0, "+0:15 h: a time zone"), (931.0, ""), (870.0, "+0:15 h"), (869.0, ""), (29.0, ""),
+        (-5400.0, "-1:30 h: a time zone"), (50_430.0, "+14:00 h: a time zone"),
+        # beyond them days and hours
+        (51_300.0, "+1 day(s) and -9:45 h: the date of a clock is wrong"),
+        (-86_400.0, "-1 day(s): the date of a clock is wrong"), (10 * 86_400.0 + 3600.0, "+10 day(s) and +1:00 h"),
+        (86_400.0 + 31.0, ""),
+        # week counters, and what is left beside them
+        (WEEKS_S, "+1024 weeks: the week counter of a receiver rolled over"),
+        (-2 * WEEKS_S - 20.5, "-2048 weeks: the week counter of a receiver rolled over"),
+        (WEEKS_S + 3600.0, "+1024 weeks: the week counter of a receiver rolled over; +1:00 h: a time zone"),
+        (WEEKS_S - 18.0, "rolled over; -18 s: the leap seconds between"),
+        (WEEKS_S + 50_400.0 + 29.0, "rolled over; +14:00 h"),
+        (WEEKS_S + 50_400.0 + 900.0, "+7169 day(s) and -9:45 h"),
+        (WEEKS_S + 100.0, ""),
+    ],
+)  # fmt: skip
+def test_shifts_that_are_no_clock_errors(shift_s, words):
+    found = explain_shift(shift_s)
+    assert words in found
+    assert bool(words) == bool(found)
+    if found.endswith("rolled over"):
+        assert words == found
+
+
+def test_a_shift_within_a_tolerance():
+    assert explain_shift(905.0, 4.0) == ""
+    assert explain_shift(903.0, 4.0) == "+0:15 h: a time zone"
+    assert explain_shift(17.5, 0.4) == explain_shift(5.01, 0.005) == ""
+    assert [hours_text(s) for s in (-5400.0, 0.0, 89.0, 91.0, 36_000.0)] == [
+        "-1:30",
+        "+0:00",
+        "+0:01",
+        "+0:02",
+        "+10:00",
+    ]
+
+
+def test_medians_and_periods_of_steps():
+    """0.1 s three times, 0.2 s twice; steps within a quarter of the median make the period."""
+    assert weighted_median(np.array([0.2, 0.1]), np.array([2.0, 3.0])) == 0.1
+    assert weighted_median(np.array([0.2, 0.1]), np.array([3.0, 2.0])) == 0.2
+    steps, n = np.array([0.074, 0.076, 0.124, 0.126]), np.array([9.0, 1.0, 3.0, 9.0])
+    assert regular_period(steps, n, 0.1) == pytest.approx((0.076 + 3 * 0.124) / 4)
+    timing = StreamTiming()
+    # a hole of eleven steps says nothing of jitter, one of ten does: 0.03 s off the whole
+    timing.describe_steps(np.array([0.1, 0.102, 1.03, 1.13]), np.array([50.0, 50.0, 1.0, 1.0]))
+    assert timing.period_s == pytest.approx(0.101)
+    assert timing.jitter_max_s == pytest.approx(0.02)
+    assert timing.jitter_s == pytest.approx(1.4826 * 0.001, rel=1e-4)
+
+
+def test_a_clock_against_another_by_hand():
+    """Four pairs, each a block: the line of least squares, its sigmas, and the offset at the mean time."""
+    t, late = 100.0 + np.array([3.0, 0.0, 1.0, 8.0]), np.array([0.02, 0.01, 0.03, 0.06])
+    fit = fit_clock(t, t + late)
+    (slope, middle), cov = np.polyfit(t - t.mean(), late, 1, cov=True)
+    assert fit.drift_ppm == pytest.approx(slope * 1e6, rel=1e-6)
+    assert fit.offset_s == pytest.approx(middle, rel=1e-9)
+    assert fit.sigma_drift_ppm == pytest.approx(1e6 * np.sqrt(cov[0, 0]), rel=1e-6)
+    assert fit.sigma_offset_s == pytest.approx(np.sqrt(cov[1, 1]), rel=1e-6)
+    assert fit.n == 4
+    assert np.isnan(fit_clock(t[:3], t[:3] + late[:3]).drift_ppm)
+
+
+def test_numbers_of_no_date_are_no_gps_times():
+    for scale in ("week_s", "day_s"):
+        with pytest.raises(InputError, match="the times are seconds of an unstated"):
+            gps_from_scale([1.0], scale)
+    now = 1_718_186_400.0
+    for scale, number in (
+        ("unix_s", now), ("unix_ms", now * 1e3), ("unix_us", now * 1e6), ("unix_ns", now * 1e9),
+        ("gps_s", now - 315_964_800.0 + 18.0), ("adjusted_s", now - 1_315_964_800.0 + 18.0),
+    ):  # fmt: skip
+        found = gps_from_scale([number, 0.0, -1e19, 1e19], scale)
+        assert found[0] == pytest.approx(float(gps_from_unix(now)), abs=1e-6)
+        assert np.isnan(found[1:]).all()
+    words = "1402221618 is 2014-06-08 in seconds since 1970 (Unix time), seconds of an unstated day"
+    assert time_scale_words([0.0, 1_402_221_618.0], ("unix_s", "day_s")) == words.replace(", s", ", in s")
+    assert time_scale_words([7.0], ()) == "7 is a time of a survey on no known scale"
+    assert time_scale_words([0.0, np.nan], ("unix_s",)) == "no time is written"
+
+
+def test_dates_that_hardly_anybody_surveyed_at():
+    week = 1042  # 1999-12-26
+    assert "1999-12-31. A week" in doubtful_date(gps_from_week(week, [5 * 86_400.0 + 12.0]))
+    assert doubtful_date(gps_from_week(week, [6 * 86_400.0 + 14.0])) == ""
+    assert doubtful_date([np.nan]) == ""
+    with pytest.warns(UserWarning, match="Leap seconds are known"):
+        later = gps_from_unix(np.datetime64("2027-06-30", "s").astype(float))
+    assert doubtful_date([later]) == "The first time is 2027-06-30, in the future."

@@ -1,5 +1,7 @@
 """The packet stream: holes, duplicates, disorder, damage, split logs, foreign packets."""
 
+from collections import Counter
+
 import numpy as np
 import pytest
 
@@ -8,7 +10,7 @@ from thalweg.core import InputError, UnsupportedError
 from thalweg.ingest import LidarOptions, LogWindow, PointBlock
 from thalweg.ingest.velodyne import VLP16
 from thalweg.ingest.velodyne.packets import read_packets
-from thalweg.ingest.velodyne.reader import VelodyneReader, iter_points, scan_lidar
+from thalweg.ingest.velodyne.reader import VelodyneReader, check_senders, iter_points, scan_lidar
 
 STEP = 1327.104
 
@@ -261,6 +263,63 @@ def test_two_lidars_in_one_capture_are_refused(tmp_path):
     (tmp_path / "a").write_bytes(log.pcap(frames))
     with pytest.raises(InputError, match=r"2 senders: 192\.168\.1\.201, 192\.168\.1\.202"):
         scan_lidar([tmp_path / "a"])
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "told"),
+    [(100, 9, False), (100, 10, True), (1990, 19, False), (1980, 21, True), (5, 5, False)],
+)
+def test_a_second_sender_counts_from_ten_packets_and_a_hundredth(first, second, told):
+    senders = Counter({0xC0A801C9: first, 0x0A000001: second})
+    if told:
+        with pytest.raises(
+            InputError, match=r"2 senders: 10\.0\.0\.1, 192\.168\.1\.201; .* host 10\.0\.0\.1"
+        ):
+            check_senders(senders, "a.pcap")
+    else:
+        check_senders(senders, "a.pcap")
+
+
+@pytest.mark.parametrize(
+    ("product", "model", "step_us", "words"),
+    [
+        # an HDL-32E sends every 553 us, a VLP-32C every 664 us, a VLP-16 and a Puck Hi-Res every 1327 us
+        (0x21, "auto", 553.0, ""),
+        (0x21, "auto", 610.0, ""),
+        (
+            0x21,
+            "auto",
+            620.0,
+            "HDL-32E .* every 620 us, as those of a VLP-32C; expected 553 us .* of a HDL-32E",
+        ),
+        (0x21, "auto", 800.0, ""),  # that of none
+        (
+            0x21,
+            "auto",
+            1327.0,
+            "as those of a VLP-16 or Puck Hi-Res; .* Old firmware .* lidar.model to VLP-16",
+        ),
+        (0x22, "auto", 1327.0, ""),
+        (
+            0x22,
+            "HDL-32E",
+            1327.0,
+            "VLP-16 .* as those of a VLP-16 or Puck Hi-Res; .* Set lidar.model to auto",
+        ),
+        (0x22, "HDL-32E", 664.0, "as those of a VLP-32C; expected 553 us .* Set lidar.model to VLP-32C"),
+        (0x21, "VLP-16", 553.0, "expected 1327 us .* of a VLP-16.* Set lidar.model to auto"),
+    ],
+)
+def test_packets_at_the_rate_of_another_model_are_refused(in_parts, product, model, step_us, words):
+    """From ten steps on."""
+    options = LidarOptions(model=model)
+    for n in (11, 10):
+        files = in_parts(log.data_packets(1e6 + step_us * np.arange(n), product=product))
+        if words and n == 11:
+            with pytest.raises(UnsupportedError, match=words):
+                scan_lidar(files, options)
+        else:
+            assert scan_lidar(files, options).report.counts["data_packets"] == n
 
 
 @pytest.mark.parametrize(
