@@ -52,6 +52,13 @@ def test_points_and_their_covariance(tmp_path):
     np.testing.assert_array_equal(found.cov, points().cov)
     head = ["mark", "x_m", "y_m", "z_m", "sigma_x_m", "sigma_y_m", "sigma_z_m"]
     assert path.read_text().splitlines()[0] == ",".join(head)
+    table = pd.read_csv(path)
+    assert table["mark"].tolist() == [f"{m}/{c}" for m in (3, 17) for c in range(4)]
+    np.testing.assert_allclose(table.to_numpy()[:, 1:4].astype(float), points().points_pcs, atol=1e-7)
+    sigma = np.sqrt(np.diag(points().cov)).reshape(-1, 3)
+    np.testing.assert_allclose(table.to_numpy()[:, 4:].astype(float), sigma, atol=1e-7)
+    assert list(found.table().columns) == head
+    assert found.index == {(3, 0): 0, (3, 1): 1, (3, 2): 2, (3, 3): 3} | {(17, c): 4 + c for c in range(4)}
     first = covariance_file(path).read_bytes()
     write_points(path, points())
     assert covariance_file(path).read_bytes() == first
@@ -71,6 +78,13 @@ def test_files_that_do_not_belong_together(tmp_path):
     table.drop(columns="z_m").to_csv(path, index=False)
     with pytest.raises(InputError, match="z_m"):
         read_points(path)
+    for moved_m, same in ((0.9e-6, True), (1e-5, False)):
+        table.assign(x_m=table["x_m"] + moved_m).to_csv(path, index=False, float_format="%.9f")
+        if same:
+            assert len(read_points(path).points) == 8
+        else:
+            with pytest.raises(InputError, match="belongs to other points"):
+                read_points(path)
     with pytest.raises(InputError, match="file not found"):
         read_points(tmp_path / "none.csv")
 
@@ -82,7 +96,10 @@ def test_the_centre_of_a_marker():
     np.testing.assert_allclose(cov, mean @ points().cov @ mean.T)
     with pytest.raises(InputError, match="0 of the four saddles of marker 5"):
         points().centre(5)
-    assert {m for m, _ in points().without({3}).points} == {17}
+    less = points().without({3})
+    assert {m for m, _ in less.points} == {17}
+    np.testing.assert_array_equal(less.points_pcs, points().points_pcs[4:])
+    np.testing.assert_array_equal(less.cov, points().cov[12:, 12:])
 
 
 def test_a_field_from_marks_to_files(tmp_path):

@@ -75,6 +75,52 @@ def test_plants_are_no_ground_and_the_gain_of_last_echoes_is_told(with_plants):
     assert found.facts["height_of_earlier_echoes_m"] > 0.02
 
 
+def test_counts_and_gain_of_echoes_by_hand():
+    """A plane, four points in each of 24 by 24 cells: one cell is ground by last of several echoes alone."""
+    x, y = (a.ravel() for a in np.meshgrid(*[np.arange(0.0, 12.0, 0.25) + 0.1] * 2))
+    ground = np.column_stack([x, y, np.zeros(len(x))])
+    first, second = (x < 0.5) & (y < 0.5), (x > 6.5) & (x < 7.0) & (y > 3.5) & (y < 3.8)
+    of = np.where(first | second, 2, 1)
+    earlier = np.concatenate([ground[first], ground[second]]) + np.array([0.0, 0.0, 0.1])
+    earlier[-1, 2] = 0.3
+    high = ground[:10] + np.array([0.0, 0.0, 2.0])
+    xyz = np.concatenate([ground, earlier, high])
+    number = np.concatenate([of, np.ones(len(earlier) + 10)]).astype(int)
+    several = np.concatenate([of, np.full(len(earlier), 2), np.ones(10)]).astype(int)
+    found = filter_ground(xyz, number, several, GroundFilter(clearance_m=0.5))
+    assert found.above_m == pytest.approx(xyz[:, 2], abs=1e-6)
+    assert found.is_ground.tolist() == [True] * len(ground) + [False] * (len(earlier) + 10)
+    n = int(first.sum() + second.sum())
+    assert (int(first.sum()), n) == (4, 6)
+    assert found.facts == {
+        "points": len(xyz),
+        "ground": 48 * 48,
+        "above_the_clearance": 10,
+        "several_echoes": 2 * n,
+        "ground_by_last_of_several": n,
+        "low_but_not_last": n,
+        "last_returns": True,
+        "cells_with_ground": 24 * 24,
+        "cells_by_last_of_several_alone": 1,
+        "gain_share": 1 / 24**2,
+        "height_of_earlier_echoes_m": pytest.approx(0.1),
+    }
+    every = filter_ground(xyz, number, several, GroundFilter(clearance_m=0.5, last_returns=False))
+    assert every.is_ground.tolist() == [True] * (len(ground) + n) + [False] * 10
+    plain = filter_ground(ground, np.ones(len(x)), np.ones(len(x)), GroundFilter()).facts
+    assert (plain["gain_share"], plain["height_of_earlier_echoes_m"]) == (0.0, None)
+    assert len(filter_ground(ground[:100], of[:100], of[:100], GroundFilter()).is_ground) == 100
+    for bad, words in ((ground[:99], "99 points, 0 of them"), (ground * np.nan, "2304 points, 2304 of them")):
+        with pytest.raises(InputError, match=words):
+            filter_ground(bad, of[: len(bad)], of[: len(bad)], GroundFilter())
+    assert scores(np.array([1, 1, 0, 0], bool), np.array([1, 0, 1, 1], bool)) == {
+        "precision": 0.5,
+        "recall": 1 / 3,
+    }
+    nothing = np.zeros(3, bool)
+    assert scores(nothing, nothing) == {"precision": 0.0, "recall": 0.0}
+
+
 def test_the_ground_of_a_file_is_that_of_all_its_points(with_plants, tmp_path, monkeypatch):
     """Read in pieces of any size, and never held as a whole."""
     xyz, number, of, _ = with_plants
