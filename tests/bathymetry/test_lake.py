@@ -32,7 +32,7 @@ from thalweg.bathymetry.lake import elongation, farthest_told_m, lines_or_patche
 from thalweg.bathymetry.tables import _agreed
 from thalweg.bathymetry.variogram import Basin
 from thalweg.cli import main
-from thalweg.core import CoverageError, GeometryError, Grid, InputError
+from thalweg.core import CoverageError, GeometryError, Grid, InputError, read_raster
 from thalweg.settings.sections import Bathymetry
 
 UTM = CRS("EPSG:32633")
@@ -160,6 +160,60 @@ def test_days_that_contradict_each_other_are_named_and_enlarge_the_sigma(lake):
     assert facts["steps"][0]["sigma_common_m"] == pytest.approx(expected, rel=0.15)
     assert any("2024-05-03 lies" in note and "crossings" in note for note in lake[1].notes)
     assert any("brought to their mean" in note for note in lake[1].notes)
+
+
+def test_the_bed_of_a_lake_in_all_its_files(lake, tmp_path):
+    water, found = lake
+    of, out = found.bed, tmp_path / "o"
+    out.mkdir()
+    (out / "centre_line.csv").write_text("of a former run")
+    found.write(out, {"campaign": "lake"})
+    grid, bands, tags = read_raster(out / "bed.tif")
+    assert grid == of.grid
+    values = {"height_m": of.up_m, "sigma_m": of.sigma_m, "sigma_common_m": of.sigma_common_m}
+    values["distance_m"] = of.distance_m
+    assert list(bands) == list(values)
+    for name, value in values.items():
+        np.testing.assert_array_equal(bands[name].ravel(), value.astype(np.float32))
+    assert tags["campaign"] == "lake"
+    for name in ("predicted", "methods"):
+        table = getattr(found, name)
+        pd.testing.assert_frame_equal(
+            pd.read_csv(out / f"{name}.csv"), table, check_exact=False, rtol=0, atol=6e-5
+        )
+    told = json.loads((out / "validation.json").read_text())
+    assert told.keys() == {*found.validation, "notes", "bed"}
+    assert told["notes"] == list(found.notes)
+    assert told["bed"] == of.facts
+    assert json.loads((out / "variogram.json").read_text()) == json.loads(json.dumps(of.model.report()))
+    assert not (out / "centre_line.csv").exists()
+    line = FlowLine.through(ORIGIN + np.array([[0.0, 0.0], [5.0, 1.0], [10.0, 0.0]]))
+    replace(found, water=replace(water, line=line)).write(out, {})
+    np.testing.assert_allclose(FlowLine.read(out / "centre_line.csv").points_m, line.points_m, atol=1e-8)
+
+
+def test_counts_and_cells_of_a_lake(lake):
+    """Cells from the outline, as far as two ranges about the data; two of them about all."""
+    water, found = lake
+    of = found.bed
+    soundings = of_three_days()
+    assert found.notes[0] == f"map coordinates: {water.reason}"
+    assert found.validation["coordinates"] == {
+        "kind": "map",
+        "reason": water.reason,
+        "azimuth_deg": water.line.azimuth_deg,
+    }
+    assert found.validation["left_out"] == "lines"
+    counts = {"soundings": len(soundings.line), "folded": 0, "bank places": len(water.shore)}
+    assert of.facts == of.facts | counts
+    places = np.concatenate([soundings.places_m, water.shore[["east_m", "north_m"]]])
+    far = 2.0 * max(of.model.covariance.range_s_m, of.model.covariance.range_n_m)
+    west, south, east, north = WATER.bounds
+    low = np.clip([west, south], places.min(axis=0) - far, places.max(axis=0) + far) - 8.0
+    high = np.clip([east, north], places.min(axis=0) - far, places.max(axis=0) + far) + 8.0
+    first, last = np.floor(low / 4.0), np.ceil(high / 4.0)
+    assert (of.grid.west_m, of.grid.north_m) == (4.0 * first[0], 4.0 * last[1])
+    assert [of.grid.columns, of.grid.rows] == (last - first).tolist()
 
 
 def test_the_model_of_a_lake_is_read_again(lake):

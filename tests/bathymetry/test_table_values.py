@@ -1,6 +1,7 @@
 """Soundings of tables, lines, banks and references against values written by hand: straight rivers."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -14,6 +15,7 @@ from thalweg.bathymetry import (
     FlowLine,
     TableOfSoundings,
     against_reference,
+    bed_of_table,
     read_other_soundings,
     read_soundings,
     water_of,
@@ -22,6 +24,7 @@ from thalweg.bathymetry.tables import (
     _agreed,
     _chain,
     _lines_by_place,
+    _refuse_other_heights,
     centre_of_lines,
     hull_of_lines,
     map_crs,
@@ -522,6 +525,65 @@ def test_lines_islands_and_maps_are_read(tmp_path):
             map_crs(text, feet=feet)
 
 
+@pytest.mark.parametrize(
+    ("changed", "river", "why"),
+    [
+        ({}, True, "the soundings reach 5.0 times as far along their middles as across"),
+        ({"lost": 9}, True, "the soundings reach"),
+        ({"lost": 11}, False, "11% of the soundings have no place along a line through their middles"),
+        ({"long_m": 61.0}, True, "the soundings reach 3.0 times"),
+        ({"long_m": 58.0}, False, "the soundings reach 2.9 times as far along their middles as across"),
+        # half of an even spread lies within half of it: 4.1 and 3.9 m, a fifth of the width is 4 m
+        ({"wide_m": 8.2}, True, "the soundings reach"),
+        ({"wide_m": 7.8}, False, "the soundings follow one course, half of them within 3.9 m across it"),
+    ],
+)
+def test_what_tells_a_river_by_soundings_alone(changed, river, why, monkeypatch):
+    of = {"lost": 0, "long_m": 100.0, "wide_m": 15.0} | changed
+    soundings = sections(long_m=130.0)
+    n = len(soundings.line)
+    s, across, fold = np.linspace(0, of["long_m"], n), np.linspace(0, of["wide_m"], n), np.zeros(n, bool)
+    fold[: round(of["lost"] / 100 * n)] = True
+    s[fold], across[fold] = -1e4, 1e4
+    bare = water_of(soundings, UTM, Bathymetry(), coordinates="flow")
+    line = SimpleNamespace(to_flow=lambda _: (s, across, fold))
+    found = replace(bare, line=line, width_m=20.0)
+    monkeypatch.setattr("thalweg.bathymetry.tables._river", lambda *_: found)
+    told = water_of(soundings, UTM, Bathymetry())
+    assert told.reason.startswith(why)
+    assert (told.line is line) == river
+
+
+def test_soundings_and_cells_beyond_the_centre_line_are_left_out_and_told(tmp_path, monkeypatch):
+    """A line that begins at 41 m: four of ten sections, and cells of the outline before it."""
+    monkeypatch.setattr("thalweg.bathymetry.variogram._STEPS", 12)
+    settings = Bathymetry(cell_m=4.0, model="matern32", drift="none", reach=20.0)
+    short = FlowLine.through(ORIGIN + np.array([[41.0, 0.0], [60.0, 0.0], [150.0, 0.0]]))
+    ring = shapely.box(*np.add(ORIGIN, [0.0, -10.0]), *np.add(ORIGIN, [100.0, 10.0]))
+    banks = write_shapes(tmp_path / "o.geojson", ({}, ring))
+    of = sections()
+    rough = 0.2 * np.sin(np.arange(len(of.line)) ** 2)
+    of = replace(of, height_m=of.height_m + rough)
+    water = water_of(of, UTM, settings, line=short, banks=banks)
+    found = bed_of_table(of, UTM, settings, water)
+    facts = found.bed.facts
+    assert (facts["soundings"], facts["folded"]) == (48, 32)
+    assert "32 soundings without flow coordinates left out" in found.notes
+    assert found.validation["coordinates"] == {
+        "kind": "flow",
+        "reason": "along the centre line that is given",
+    }
+    x, y = (found.bed.grid.centres_m() - ORIGIN).T
+    inside = (x > 0) & (x < 100) & (np.abs(y) < 10)
+    lost = int((inside & (x < 41.0)).sum())
+    assert any(
+        note.startswith(f"{lost} cells of the outline are no bed: beyond the ends") for note in found.notes
+    )
+    assert np.isfinite(found.bed.up_m).tolist() == (inside & (x > 41.0)).tolist()
+    again = bed_of_table(of, UTM, settings, water_of(of, UTM, settings, line=short))
+    assert not any("of the outline" in note for note in again.notes)
+
+
 # ---------------------------------------------------------------- steps of runs, references
 
 
@@ -598,3 +660,21 @@ def test_a_bed_beside_references_by_hand(tmp_path):
         against_reference(tmp_path / "bed.tif", [tmp_path / "off.csv"], UTM, settings)
     with pytest.raises(GeometryError, match="at least three"):
         FlowLine.through(frame.to_map(np.zeros((2, 3)), UTM)[:, :2])
+
+
+@pytest.mark.parametrize(
+    ("below_m", "words"),
+    [(-0.1, "0.1 m above the banks"), (0.1, None), (19.9, None), (20.1, "20.1 m below the banks")],
+)
+def test_soundings_lie_below_the_banks_and_not_deeper_than_the_water_is_wide(below_m, words):
+    table = pd.DataFrame(
+        {"source": ["bank"] * 3 + ["sounding"] * 3, "up_m": [5.0, 0, 50, 5.0 - below_m, 9, -90]}
+    )
+    if words is None:
+        _refuse_other_heights(table, 20.0)
+    else:
+        with pytest.raises(
+            InputError, match=f"the soundings lie {words} in the median, the water is 20 m wide"
+        ):
+            _refuse_other_heights(table, 20.0)
+    _refuse_other_heights(table[3:], 20.0)  # without banks nothing is known

@@ -7,10 +7,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
+from tests.calibration.test_board import BOARD, picture
 from thalweg.calibration import calibrate_lens, camera_of, read_corners
-from thalweg.calibration.lens import _board_pose, lens_calibration_file
+from thalweg.calibration.lens import _board_pose, corners_of_pictures, lens_calibration_file
 from thalweg.cli import main
-from thalweg.core import Camera, CoverageError, InputError
+from thalweg.core import Camera, CoverageError, InputError, Rigid
 from thalweg.core.calibration import read_calibration
 
 LENSES = {
@@ -194,6 +195,38 @@ def test_the_pose_of_a_board_from_rays_without_errors():
     assert off < 1e-9
     assert _board_pose(rays[::-1], board)[2] < 1e-9  # turned by half a turn it is a board as well
     assert _board_pose(np.roll(rays, 3, axis=0), board)[2] > 0.01
+
+
+def test_corners_of_drawn_pictures_stand_in_the_order_of_the_board(tmp_path):
+    """A board may be read from either end; a picture without one is named, one of another size refused."""
+    camera = Camera(
+        model="fisheye", size_px=(480, 360), parameters=np.array([300.0, 300, 240, 180, -0.05, 0.01, 0, 0])
+    )
+    places = []
+    for name, turn in (("a.png", [18, -14, 6]), ("b.png", [-10, 12, -20])):
+        R = np.diag([1.0, -1.0, -1.0]) @ Rotation.from_euler("xyz", turn, degrees=True).as_matrix()
+        T = Rigid(R=R, shift_m=np.array([0.1, -0.05, 1.5]))
+        cv2.imwrite(str(tmp_path / name), picture(T, camera))
+        places.append(camera.project(T.apply(BOARD.points_m)))
+    cv2.imwrite(str(tmp_path / "c.png"), np.full((360, 480), 128, np.uint8))
+    cv2.imwrite(str(tmp_path / "d.png"), np.full((360, 481), 128, np.uint8))
+    paths = [tmp_path / f"{name}.png" for name in "abcd"]
+    found, size, missed = corners_of_pictures(paths[:3], (7, 5))
+    assert size == (480, 360)
+    assert list(missed) == ["c.png"]
+    assert "no checkerboard of 7 x 5" in missed["c.png"]
+    assert found.columns.tolist() == ["image", "column", "row", "x_px", "y_px"]
+    assert found["image"].tolist() == ["a.png"] * 35 + ["b.png"] * 35
+    assert found["column"].tolist() == [*range(7)] * 10
+    assert found["row"].tolist() == [k // 7 for k in range(35)] * 2
+    for k, expected in enumerate(places):
+        xy = found[["x_px", "y_px"]].to_numpy()[35 * k : 35 * (k + 1)]
+        off = min(np.abs(xy - expected).max(), np.abs(xy - expected[::-1]).max())
+        assert off < 0.3
+    with pytest.raises(InputError, match="a picture of 481 x 360 pixels beside some of 480 x 360"):
+        corners_of_pictures(paths, (7, 5))
+    with pytest.raises(InputError, match="no checkerboard of 7 x 5 inner corners in 1 pictures"):
+        corners_of_pictures(paths[2:3], (7, 5))
 
 
 @pytest.mark.real

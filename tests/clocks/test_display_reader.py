@@ -12,7 +12,7 @@ from PIL import Image, ImageDraw, ImageFont
 from scipy.stats import chi2
 
 from thalweg.clocks import clock_stability, read_display
-from thalweg.clocks.display import out_of_sequence, seconds_of
+from thalweg.clocks.display import _cycle, find_layouts, out_of_sequence, seconds_of
 from thalweg.core import ClockError, InputError
 from thalweg_lab.instruments import simulate_display
 from thalweg_lab.settings import TwinConfig
@@ -113,8 +113,13 @@ def test_labels_teach_a_look_of_its_own(tmp_path):
     read = table["reason"] == ""
     assert read.mean() > 0.9
     assert table["text"][read].tolist() == [text for text, good in zip(texts, read, strict=True) if good]
-    with pytest.raises(InputError, match="label"):
-        read_display(files, labels={"absent.png": texts[0]})
+    for wrong in (
+        {"absent.png": texts[0]},
+        {files[0].name: texts[0][:-1]},
+        {files[0].name: "x" + texts[0][1:]},
+    ):
+        with pytest.raises(InputError, match="label"):
+            read_display(files, labels=wrong)
 
 
 def test_damaged_and_foreign_files_are_left_out_with_their_reason(tmp_path):
@@ -159,6 +164,20 @@ def test_texts_that_are_no_time():
     assert seconds_of("24:00:00.00", "HH:MM:SS.ff") is None
     assert seconds_of("00:00:61.00", "HH:MM:SS.ff") is None
     assert seconds_of("345678.25", "SSSSSS.ff") == pytest.approx(345_678.25)
+    assert seconds_of("07:05.250", "MM:SS.fff") == pytest.approx(425.25)
+    assert seconds_of("60:00", "MM:SS") is None
+    assert seconds_of("61", "SS") == 61.0
+    assert seconds_of("0?:05", "MM:SS") is None
+    cycles = [_cycle(p) for p in ("HH:MM:SS", "MM:SS.f", "SS.ff", "SSS.f", "SSSS")]
+    assert cycles == [86_400.0, 3600.0, 60.0, 1000.0, 10_000.0]
+
+
+def test_patterns_without_digits_and_photographs_of_two_sizes_have_no_layout():
+    with pytest.raises(InputError, match="the pattern ':d' of the display"):
+        find_layouts([np.zeros((60, 80), np.uint8)], ":d")
+    with pytest.raises(InputError, match="different sizes"):
+        find_layouts([np.zeros((60, 80), np.uint8), np.zeros((80, 60), np.uint8)], "dd:dd")
+    assert find_layouts([np.zeros((60, 80), np.uint8)], "dd") == []
 
 
 def test_the_sequence_only_rejects():

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from tests.core.conftest import FRAME, trajectory_of
 from thalweg.clocks import ClockModel, Lag, Speeds, report_lines, stream_table, time_report
-from thalweg.clocks.streams import COLUMNS, _stream_row
+from thalweg.clocks.streams import COLUMNS, _stream_row, _who, apart_words
 from thalweg.clocks.synchronise import offset_options, run_attitude, run_poses
 from thalweg.clocks.ties import RUN_IMAGE_TIMES, trigger_clock
 from thalweg.core import ClockError, CoverageError, InputError, Rigid, cross_matrix, frame_of, gps_from_unix
@@ -210,3 +210,49 @@ def test_times_by_pulses_stand_in_the_cameras_remark():
     words = "1 by their pulse (sigma up to 0.20 ms), 1 by the camera's own clock (sigma up to 20.00 ms)"
     assert words in row["remark"]
     assert "Times of" not in plain["remark"]
+
+
+@pytest.mark.parametrize(
+    ("form", "scale", "told"),
+    [
+        ("Photographs", "device", ("its own free-running clock", "nothing")),
+        ("Velodyne packets", "none", ("its own free-running clock", "nothing")),
+        ("NMEA 0183", "host", ("the logging computer", "its system clock")),
+        ("PCAP", "utc", ("the lidar's clock", "UTC, put on GPS time with the leap seconds")),
+        ("SBET of Applanix", "gps", ("the INS, steered by", "GPS time")),
+        ("RTKLIB .pos", "gps", ("the GNSS receiver", "GPS time")),
+        ("RINEX 3", "glonass", ("the GNSS receiver", "glonass")),
+        ("NMEA 0183", "utc", ("the time sentences", "UTC, put on GPS time with the leap seconds")),
+        ("a table", "gps", ("the instrument", "GPS time")),
+    ],
+)
+def test_who_stamps_a_stream_and_against_what(form, scale, told):
+    found = _who({"format": form, "time_scale": scale})
+    assert found[0].startswith(told[0])
+    assert found[1] == told[1]
+
+
+@pytest.mark.parametrize(
+    ("span", "other", "words"),
+    [
+        (
+            (0.0, 100.0),
+            (7210.0, 7260.0),
+            "shifted by +2:00 h it would overlap: its hour or its time zone is wrong",
+        ),
+        ((0.0, 100.0), (86_400.0, 86_460.0), "shifted by +24:00 h it would overlap: its date is wrong"),
+        ((90_000.0, 90_100.0), (3600.0, 3650.0), "shifted by -24:00 h it would overlap: its date is wrong"),
+        # half of the shorter one is enough
+        (
+            (0.0, 100.0),
+            (7249.0, 7349.0),
+            "shifted by +2:00 h it would overlap: its hour or its time zone is wrong",
+        ),
+        ((0.0, 100.0), (7251.0, 7351.0), "it ends 7151 s before the other begins"),
+        ((900.0, 950.0), (0.0, 100.0), "it begins 800 s after the other ends"),
+        ((100.0, 200.0), (0.0, 100.0), "it begins 0 s after the other ends"),
+        ((99.0, 200.0), (0.0, 100.0), ""),
+    ],
+)
+def test_how_far_logs_lie_apart(span, other, words):
+    assert apart_words(span, other) == words

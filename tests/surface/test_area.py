@@ -7,6 +7,7 @@ from pyproj import CRS
 from thalweg.core import InputError, LocalFrame
 from thalweg.settings.sections import Area as AreaSection
 from thalweg.surface import Area
+from thalweg.surface.area import _from_map
 
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
 UTM = "EPSG:25833"
@@ -119,3 +120,37 @@ def test_local_corners_called_map_are_refused_with_the_cure():
 def test_heights_that_hold_nothing_are_refused():
     with pytest.raises(InputError, match="heights from 3 to 2 m"):
         Area(lowest_m=3.0, highest_m=2.0)
+
+
+def test_limits_in_words_and_boxes():
+    area = Area(polygon_en_m=BAY + np.array([100.0, -50.0]), lowest_m=-1.5, highest_m=4.25)
+    assert area.describe() == (
+        "a polygon of 8 corners and 68 m², east 100.0 to 110.0 m, north -50.0 to -42.0 m, "
+        "height from -1.5 m, height up to 4.25 m"
+    )
+    low, high = area.box(0.5)
+    assert (low.tolist(), high.tolist()) == ([99.5, -50.5, -2.0], [110.5, -41.5, 4.75])
+    assert [a.is_everything for a in (area, Area(lowest_m=0.0), Area(highest_m=0.0))] == [False] * 3
+    assert Area().size_m2() == np.inf
+    assert np.isinf(np.concatenate(Area().box(1.0))).all()
+    assert Area(highest_m=3.0).describe() == "height up to 3 m"
+    on_map = Area.from_section(AreaSection(frame="map", min_height_m=310.0), FRAME, UTM)
+    assert on_map.describe() == "ellipsoidal height from 310 m"
+    local = Area.from_section(AreaSection(max_height_m=2.0, polygon=BAY.tolist()), FRAME, UTM)
+    assert (local.lowest_m, local.highest_m, local.ellipsoid) == (-np.inf, 2.0, None)
+    np.testing.assert_array_equal(local.polygon_en_m, BAY)
+
+
+def test_long_edges_of_a_map_get_corners_each_500_m():
+    crs = CRS.from_user_input(UTM)
+    centre = FRAME.to_map(np.zeros((1, 3)), crs)[0, :2]
+    corners = centre + np.array([[0.0, 0.0], [1200.0, 0.0], [1200.0, 400.0], [0.0, 400.0]])
+    east = [*np.arange(0.0, 1200.0, 400.0), 1200.0, *np.arange(1200.0, 0.0, -400.0), 0.0]
+    north = [0.0] * 3 + [0.0] + [400.0] * 3 + [400.0]
+    expected = np.column_stack([centre[0] + np.array(east), centre[1] + np.array(north), np.full(8, 300.0)])
+    np.testing.assert_allclose(
+        _from_map(corners, FRAME, UTM), FRAME.from_map(expected, crs)[:, :2], atol=1e-6
+    )
+    far = centre + np.array([[0.0, 0.0], [2.5e7, 0.0], [0.0, 2.5e7]])
+    with pytest.raises(InputError, match="an outline of 85,355 km"):
+        _from_map(far, FRAME, UTM)
