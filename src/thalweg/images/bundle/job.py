@@ -3,7 +3,6 @@
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from pathlib import Path, PurePosixPath
 from typing import Any, Final, Self
 
@@ -467,12 +466,8 @@ def _joined(poses: Sequence[ImagePoses], lost: Mapping[str, str]) -> tuple[Image
         piece[rows] = k
         for name, values in columns.items():
             values[rows] = getattr(other, name)[rows]
-    if len(poses) > 1:
-        for a, b in pairwise(np.flatnonzero(piece >= 0).tolist()):
-            own = np.flatnonzero(poses[piece[a]].oriented)
-            after = own[np.searchsorted(own, a) + 1 :]
-            if piece[a] != piece[b] or not len(after) or after[0] != b:
-                columns["cov_next"][a] = 0.0
+    rows = np.flatnonzero(piece >= 0)
+    columns["cov_next"][rows[:-1][np.diff(piece[rows]) != 0]] = 0.0
     reasons = tuple(
         "" if k >= 0 else lost.get(name, reason)
         for name, reason, k in zip(base.images, base.reasons, piece, strict=True)
