@@ -115,6 +115,7 @@ def moved_apart(
     n = len(epochs)
     known = all(epoch.sigma_known for epoch in epochs)
     seen = np.isfinite(along_m) & bare
+    seen &= seen.sum(axis=0) > 1  # what one epoch alone has lies off nothing
     parameters, cov = np.zeros((n, 6)), np.zeros((6 * n, 6 * n))
     if not model:
         words = {"model": "none", "sigma": "stated" if known else "unknown"}
