@@ -117,10 +117,10 @@ def test_the_frame_amid_points(tmp_path):
     for paths, crs in (([a], LOCAL), ([], "EPSG:25833")):
         nowhere = c.frame_about(paths, crs=crs)
         assert (nowhere.lat_deg, nowhere.lon_deg, nowhere.h_ell_m) == (0.0, 0.0, 0.0)
-    local = write(tmp_path, "l.csv", "id,east_m,north_m,up_m\nA,1,2,3\n")
+    names = write(tmp_path, "l.csv", "id,role\nA,check\n")
     with pytest.raises(InputError, match="control points without a place on the earth"):
-        c.frame_about([local], crs=None)
-    assert c.frame_about([local, a], crs=None).h_ell_m == pytest.approx(100.0)
+        c.frame_about([names], crs=None)
+    assert c.frame_about([names, a], crs=None).h_ell_m == pytest.approx(100.0)
 
 
 def test_systems_by_their_names(tmp_path):
@@ -163,7 +163,7 @@ def test_numbers_of_cells(tmp_path):
 
 @pytest.mark.parametrize(
     ("value", "refused"),
-    [("0,0,0", True), ("-9999,5,1", True), ("0,0.5,0", False), ("5,5,0", False), ("5,5,-9999", True)],
+    [("-9999,5,1", True), ("0,0.5,0", False), ("5,5,0", False), ("5,5,-9999", True)],
 )
 def test_what_stands_for_no_place(tmp_path, value, refused):
     path = write(tmp_path, "p.csv", f"id,east_m,north_m,up_m\nA,7,8,9\nB,{value}\n")
@@ -209,11 +209,11 @@ def test_sigmas_of_some_axes_are_told(tmp_path, caplog, words, told):
     assert ("read of sigma_east_m, sigma_north_m; for the others" in caplog.text) == told
 
 
-BOARDS = ControlSettings(board_m=0.5, search_m=0.25, least_board_px=4.0, least_images=2)
+BOARDS = ControlSettings(board_m=0.5, search_m=0.25, least_board_px=5.0, least_images=2)
 
 
 def test_where_boards_should_be_seen():
-    """Cameras 10 m south of boards of two modules of 0.25 m: 20 px a metre."""
+    """Cameras 10 m south of boards of two modules of 0.22 m: 20 px a metre."""
     block = block_of([[0, -10, 0], [8, -10, 0], [0, 10, 0]])
     control = control_of([[1.0, 0, 0.5], [40.0, 0, 0], [-9.8, 0, 0]])
     found = c._sights(block, control, BOARDS, 0.25, lambda name: None)
@@ -224,16 +224,16 @@ def test_where_boards_should_be_seen():
     # right of the board, as the nearest cameras see it, and downwards
     away = np.array([8 / 3 - 1, -10 / 3])
     right = np.array([-away[1], away[0]]) / np.linalg.norm(away)
-    expected = 0.25 * np.array([[20 * right[0] - 2 * right[1], 0.0], [1.0 * right[1], 20.0]])
+    expected = 0.22 * np.array([[20 * right[0] - 2 * right[1], 0.0], [1.0 * right[1], 20.0]])
     np.testing.assert_allclose(s.by_module, expected, atol=1e-9)
-    # 5 px a module: no less than 3.5 px, and three times 0.25 m
-    assert s.reach_px == pytest.approx(3.5 + 3 * 0.25 * 5 / 0.25)
-    assert c._reach_px(block, s, BOARDS, 0.0) == pytest.approx(3.5)
+    # 4.4 px a module: seven tenths of it, and three times 0.25 m
+    assert s.reach_px == pytest.approx(0.7 * 4.4 + 3 * 0.25 * 20)
+    assert c._reach_px(block, s, BOARDS, 0.0) == pytest.approx(0.7 * 4.4)
     s.by_module = s.by_module / 5
     assert c._reach_px(block, s, BOARDS, 0.0) == 3.0
     small = c._sights(block, control, BOARDS.replace(least_board_px=11.0), 0.25, lambda name: None)
-    assert [s.reason for s in small] == ["too small: 10 px"] * 3
-    assert {s.reason for s in c._sights(block, control, BOARDS.replace(least_board_px=9.0), 0.25, print)} == {
+    assert [s.reason for s in small] == ["too small: 9 px"] * 3
+    assert {s.reason for s in c._sights(block, control, BOARDS.replace(least_board_px=8.5), 0.25, print)} == {
         ""
     }
 
@@ -251,7 +251,7 @@ def test_a_masked_board_is_measured_in_no_narrow_window():
     assert [s.reason for s in c._sights(block, control, BOARDS, 0.0, masks)] == ["masked", ""]
     assert [s.reason for s in c._sights(block, control, BOARDS, 0.25, masks)] == ["", ""]
     small = BOARDS.replace(least_board_px=40.0)
-    assert [s.reason for s in c._sights(block, control, small, 0.0, masks)] == ["too small: 10 px"] * 2
+    assert [s.reason for s in c._sights(block, control, small, 0.0, masks)] == ["too small: 9 px"] * 2
     assert asked == ["0.png", "1.png"] * 3
     # a camera below a board has no right and left of it
     assert c._sights(block_of([[0, 0, -5]]), control, BOARDS, 0.0, masks) == []
@@ -288,7 +288,7 @@ def test_the_place_on_which_most_images_agree():
     sights = sights_of(block, places, offsets, {})
     found = c._agreed(block, sights, 3, BOARDS)
     # the candidate 1.7 px off lies within 0.35 modules of 5 px, as 1.5 px would not
-    np.testing.assert_allclose(found[0], places[0], atol=0.06)
+    np.testing.assert_allclose(found[0], places[0], atol=0.1)
     assert np.isnan(found[1:]).all()
     assert np.isnan(c._agreed(block, sights, 3, BOARDS.replace(least_images=5))[0]).all()
     near = c._near(block, [(sights[3], sights[3].found[0][1])], np.array(places[0]))
