@@ -362,4 +362,4 @@ def _require_near(R_lcs_ccs: ArrayF, value: ArrayF, nominal: Sensor, where: str)
 
 
 def _has_file(path: Path) -> bool:
-    return "file" in {str(name).strip() for name in pd.read_csv(path, nrows=0).columns}
+    return "file" in {str(name).strip() for name in pd.read_csv(path).columns}
