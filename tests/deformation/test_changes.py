@@ -439,6 +439,7 @@ def test_two_epochs_in_a_network_are_registered_as_a_pair():
     fields = joint_fields([one.field, two.field])
     places, normals = pair.found.cores_m, pair.found.normals
     network = coregister_network(places, normals, along, white, pair.bare, fields, settings)
+    assert network.facts["model"] == "shift+heading"
     apart = network.parameters[1] - network.parameters[0]
     # weights of noise and field differ by what both epochs' weights make of each other
     assert apart == pytest.approx(alone.parameters, abs=2e-4)

@@ -135,6 +135,8 @@ def test_both_volumes_lose_the_height_of_drawn_ground(tmp_path):
     told = ("height", "drawn", 6, "estimated")
     assert (facts["model"], facts["areas"], facts["n_areas"], facts["sigma"]) == told
     assert [each["places"] for each in facts["by_area"]] == pytest.approx([30] * 6, abs=8)
+    by_east = sorted((each["east_m"], each["off_m"]) for each in facts["by_area"])
+    assert [off for _, off in by_east] == pytest.approx(patches, abs=0.006)
     true = -0.2 * (80 * 40 - 180)
     assert net["volume_m3"] == pytest.approx(true, rel=0.03)
     # that of the motion, all over, and what an estimated error alike over some metres adds

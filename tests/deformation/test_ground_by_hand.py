@@ -478,7 +478,7 @@ def test_cells_of_points_and_the_area_that_they_share():
 def test_along_the_bank_to_the_right_when_looking_from_the_river():
     """The river in the south: normals point there, and east is to the right."""
     x = np.linspace(-5, 5, 11)
-    cores = np.column_stack([x, 0.1 * np.cos(x), 0 * x])
+    cores = np.column_stack([x, 90.0 + 0.1 * np.cos(x), 0 * x])
     south = np.tile([0.0, -0.8, 0.6], (11, 1))
     np.testing.assert_allclose(_along(cores, south), [1, 0], atol=0.02)
     np.testing.assert_allclose(_along(cores, -south), [-1, 0], atol=0.02)
@@ -652,3 +652,50 @@ def test_cells_of_the_map_that_hold_points(tmp_path):
     nowhere = SimpleNamespace(contains=lambda xyz: np.zeros(len(xyz), bool))
     with pytest.raises(CoverageError, match="no point of 'a' lies in"):
         differences._cells(made, nowhere, frame, CRS("EPSG:25833"), 1.0)
+
+
+def test_a_difference_of_epochs_has_its_cells_behind_the_core_points(monkeypatch):
+    """Cylinders as large as the cells; a cell with too few points in either epoch has no height."""
+    rng = np.random.default_rng(6)
+    cores = pair_of(rng, 4).cores
+    middles = np.array([[0.5, 3.5, 1.0], [2.5, 3.5, 1.1], [4.5, 1.5, 1.2]])
+    grid = SimpleNamespace(rows=2, columns=3, west_m=100.0, north_m=200.0, cell_m=2.0, crs=CRS("EPSG:25833"))
+    settings = Deformation(core_spacing_m=2.0, cylinder_radius_m=0.3, least_in_cylinder=4)
+    asked, sums = [], []
+
+    def measure(places, before, after, how):
+        asked.append((len(places), how.cylinder_radius_m))
+        return places
+
+    distance, sigma = np.array([9.0, 9, 9, 9, 0.1, 0.2, 0.3]), np.array([9.0, 9, 9, 9, 0.01, 0.02, 0.03])
+    n = np.array([[9, 9]] * 4 + [[4, 4], [3, 9], [9, 4]])
+
+    def registered(pair, registration):
+        sums.append(registration)
+        return SimpleNamespace(
+            distance_m=distance, sigma_m=sigma, variances=lambda P: (P**2 @ sigma**2, np.zeros(len(P)))
+        )
+
+    monkeypatch.setattr(differences, "_cells", lambda *words: (grid, np.array([0, 1, 5]), middles))
+    monkeypatch.setattr(differences, "measure_pair", measure)
+    monkeypatch.setattr(differences, "_joined", lambda a, b: SimpleNamespace(found=SimpleNamespace(n=n)))
+    monkeypatch.setattr(differences, "registered_distances", registered)
+    motion = Registration(np.zeros(6), np.eye(6), np.ones((4, 6)), np.ones((6, 4)), np.ones(4, bool), {})
+    found = differences.difference_of_epochs(
+        cores, None, None, motion, settings, None, frame=None, crs="EPSG:25833"
+    )
+    # a circle with the area of a cell
+    assert asked == [(4, 0.3), (3, pytest.approx(np.sqrt(4.0 / np.pi)))]
+    nan = np.nan
+    np.testing.assert_allclose(found.raster.height_m, [[0.1, nan, nan], [nan, nan, 0.3]])
+    np.testing.assert_allclose(found.sigma_m, [[0.01, nan, nan], [nan, nan, 0.03]])
+    assert (found.raster.corner_m.tolist(), found.raster.cell_m.tolist()) == ([100.0, 200.0], [2.0, 2.0])
+    assert found.volumes.set_index("part").loc["net", "volume_m3"] == pytest.approx(4.0 * 0.4)
+    (moved,) = sums
+    centre = cores[["east_m", "north_m", "up_m"]].to_numpy().mean(axis=0)
+    arm = middles - centre
+    zero = np.zeros(3)
+    wanted = np.column_stack([zero, zero, zero + 1, arm[:, 1], -arm[:, 0], zero])
+    np.testing.assert_allclose(moved.design, np.concatenate([np.ones((4, 6)), wanted]))
+    np.testing.assert_array_equal(moved.weights, np.hstack([np.ones((6, 4)), np.zeros((6, 3))]))
+    assert moved.stable.tolist() == [True] * 4 + [False] * 3

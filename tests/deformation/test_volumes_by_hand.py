@@ -65,6 +65,7 @@ def test_a_registration_has_the_covariance_of_weighted_least_squares(monkeypatch
     statistic = found.parameters @ np.linalg.solve(S @ total @ S.T, found.parameters)
     assert found.facts["test_statistic"] == pytest.approx(statistic)
     assert found.facts["degrees_of_freedom"] == 6
+    assert found.facts["model"] == "rigid"
     assert found.registered(distance) == pytest.approx(distance - H @ found.parameters)
     error = rng.standard_normal(k)
     assert found.of_errors(error) == pytest.approx(error - H @ (S @ error))

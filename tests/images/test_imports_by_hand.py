@@ -12,6 +12,7 @@ from PIL import Image
 from tests.images.finished_scene import FRAME, TRUTH, predictions
 from tests.images.sfm_scene import PERSPECTIVE
 from thalweg.core import GeometryError, InputError, Rigid, exp_rotation, rotation_z
+from thalweg.core.geometry import fit_points
 from thalweg.images.bundle.problem import (
     Antenna,
     RigFrames,
@@ -33,7 +34,14 @@ from thalweg.images.imports.source import (
     world_axes,
 )
 from thalweg.images.model import files
-from thalweg.images.model.block import is_line, predicted_sigmas, robust_similarity, spread_share
+from thalweg.images.model.block import (
+    _HUBER,
+    _huber,
+    is_line,
+    predicted_sigmas,
+    robust_similarity,
+    spread_share,
+)
 from thalweg.images.model.files import Picture
 from thalweg.settings.sections import FinishedOrientations
 
@@ -354,6 +362,10 @@ def test_scales_and_components_of_metashape(tmp_path):
         found = read_metashape(path, "world")
         np.testing.assert_allclose(found.coordinates, places)
         assert found.absent == absent
+    # a model that stands nowhere keeps its own units
+    alone = path.read_text().replace(moved, "")
+    (tmp_path / "alone.xml").write_text(alone)
+    np.testing.assert_allclose(read_metashape(tmp_path / "alone.xml", None).coordinates, [[5.0, 0, 0]] * 2)
     turned = path.read_text().replace(
         "</transform></camera>", "</transform><orientation>6</orientation></camera>"
     )
@@ -524,7 +536,10 @@ def test_points_on_a_line_and_those_that_do_not_fit():
         assert robust_similarity(source, near, "abcdefgh", what="dots").fits[2] == fits
     wide = robust_similarity(source, target, "abcdefgh", what="dots", tolerance_m=9.0)
     assert wide.fits.all()
-    with pytest.raises(GeometryError, match=r"dots and the block do not have the same shape"):
+    R, shift, scale = fit_points(source, target[::-1], scaled=True)
+    off = np.linalg.norm(scale * source @ R.T + shift - target[::-1], axis=1)
+    words = f"{'abcdefgh'[np.argmax(off)]} is off by {off.max():.2f} m, the median is {np.median(off):.2f} m"
+    with pytest.raises(GeometryError, match=f"dots and the block do not have the same shape: .*{words}"):
         robust_similarity(source, target[::-1], "abcdefgh", what="dots")
     with pytest.raises(GeometryError, match="2 dots measured in two images or more"):
         robust_similarity(source[:2], target[:2], "ab", what="dots")
@@ -640,3 +655,10 @@ def test_poses_of_lenses_from_those_of_their_exposures():
     np.testing.assert_allclose(found.cov_pose_wcs[1], root @ root.T)
     assert not found.cov_next[:2].any()
     assert np.isnan(found.cov_next[2]).all()
+
+
+def test_weights_of_what_lies_far_off():
+    """One up to the limit, then its share: roots, of lengths over the root of three components."""
+    size = np.array([0.0, 0.5 * _HUBER, _HUBER, 4.0 * _HUBER])
+    v = np.outer(size * np.sqrt(3.0), [0.6, 0.0, -0.8])
+    np.testing.assert_allclose(_huber(v), [[1.0], [1.0], [1.0], [0.5]])

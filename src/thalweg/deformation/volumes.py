@@ -75,7 +75,7 @@ def classify_changes(
     state[filled] = "deposition"
     places = compared.pair.found.cores_m
     patch = _patches(places, state, 1.8 * settings.core_spacing_m)
-    for number in range(patch.max() + 1):
+    for number in np.unique(patch[patch >= 0]):
         if _is_object(places, ~compared.pair.bare, patch, number, settings):
             state[patch == number] = "object"
     out = table.assign(state=state)
@@ -112,7 +112,7 @@ def _rows(table: pd.DataFrame, area_m2: ArrayF, patch: ArrayI, limits: Classes) 
     """One row for each patch that is large enough, the largest first."""
     rows = []
     distance = table["distance_m"].to_numpy()
-    for number in range(patch.max() + 1):
+    for number in np.unique(patch[patch >= 0]):
         use = patch == number
         area = float(area_m2[use].sum())
         if area < limits.least_patch_m2:
