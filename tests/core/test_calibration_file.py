@@ -17,7 +17,7 @@ from thalweg.core.calibration import (
     unit_of,
     write_calibration,
 )
-from thalweg.core.calibration.model import calibration_text
+from thalweg.core.calibration.model import calibration_text, lever_doubt
 from thalweg.settings.sections.mounts import LidarMount
 
 SOURCE = Source(
@@ -276,3 +276,21 @@ def test_files_that_are_no_calibration(tmp_path):
             read_calibration(path)
     with pytest.raises(ConfigError, match="no such file"):
         read_calibration(tmp_path / "none.yaml")
+
+
+@pytest.mark.parametrize(
+    ("lever_m", "cure"),
+    [
+        ([20.0, -20.0, 0.0], None),
+        ([], None),
+        ([-20.1, 2.0, 0.0], "(-0.0201, 0.002, 0), or (-0.201, 0.02, 0) if centimetres, and the sigmas"),
+        ([0.0, 99.9, 0.0], "(0, 0.0999, 0), or (0, 0.999, 0) if centimetres, and the sigmas"),
+        ([0.0, 1.0, 100.0], "(0, 0.001, 0.1), and the sigmas"),
+    ],
+)
+def test_lever_arms_too_long_for_metres(lever_m, cure):
+    doubt = lever_doubt(lever_m)
+    assert (doubt is None) == (cure is None)
+    if doubt is not None:
+        assert doubt[1] == "components up to 20 m"
+        assert doubt[2] == f"Are these millimetres? Then write {cure} in metres, too"

@@ -15,6 +15,7 @@ from thalweg.core.values import (
     in_words,
     near_world,
     places,
+    unit_in_words,
     unit_of_code,
     unit_of_letter,
     unit_of_word,
@@ -69,6 +70,24 @@ def test_units_have_names():
     chain = unit_of_code(9033)  # that no word of ours has
     assert (chain.name, chain.metres) == ("US survey chain", pytest.approx(66 * 1200 / 3937))
     assert units_of_crs(CRS("EPSG:5783")) == (None, METRE)  # heights alone
+
+
+@pytest.mark.parametrize(
+    ("text", "name"),
+    [
+        ("Depth units: Feet", "foot"), ("# z in US survey feet", "US survey foot"), ("DepthUnits=ft", "foot"),
+        ("VERTICAL_UNITS;Feet", "foot"), ("coordinates [cm]", "centimetre"),
+        ("Tiefen in Faden (ftm)", "fathom"),
+        ("x, y in U.S. survey feet", "US survey foot"), ("heights (millimetres)", "millimetre"),
+        ("values in yards", "yard"), ("Einheit: km", "kilometre"),
+        ("antenna height [mm]: 1200", None), ("accuracy of depths in mm", None), ("draft in feet", None),
+        ("in feet", None), ("depths in metres", None), ("depth in [dbar]", None), ("positions in", None),
+        ("depth: see the fathom chart", None),
+    ],
+)  # fmt: skip
+def test_units_in_sentences(text, name):
+    found = unit_in_words(text)
+    assert (None if found is None else found.name) == name
 
 
 # ---------------------------------------------------------------- places

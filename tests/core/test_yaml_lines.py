@@ -6,7 +6,18 @@ import pytest
 from pydantic import Field, model_validator
 
 from thalweg.core import ConfigError, documents, number_in_words, parse_yaml, read_mapping, read_yaml
-from thalweg.core.documents import Mistake, Name, Part, Text, checked, one_of, refuse, validated, wrong
+from thalweg.core.documents import (
+    Mistake,
+    Name,
+    Part,
+    Text,
+    checked,
+    did_you_mean,
+    one_of,
+    refuse,
+    validated,
+    wrong,
+)
 from thalweg.settings.load import load_campaign
 from thalweg.settings.messages import CampaignError
 
@@ -267,3 +278,14 @@ def test_all_mistakes_are_told_in_the_order_of_the_file():
 )
 def test_limits_of_a_number_in_words(node, words):
     assert number_in_words(node) == words
+
+
+def test_names_that_are_meant():
+    """The same meaning before the same letters, in any case, and of two meanings the likelier one."""
+    for name, known, meant in (
+        ("GPS", ["antenna", "gnss", "gbs"], "gnss"), ("gps", ["antenna", "ins"], "antenna"),
+        ("lidra", ["lidar", "ins"], "lidar"), ("x", ["a"], ""),
+        ("camera", ["time_lapse", "images"], "images"),
+        ("name", ["names", "id"], "id"),
+    ):  # fmt: skip
+        assert did_you_mean(name, known) == (f"Did you mean {meant}?" if meant else "")

@@ -11,11 +11,12 @@ from pyproj import CRS, Transformer
 
 from thalweg.bathymetry import Levels, read_soundings
 from thalweg.core import GPS_EPOCH_UNIX_S, InputError, ThalwegError, read_opencv
-from thalweg.core.values import far_repeated
+from thalweg.core.values import far_repeated, is_nothing
 from thalweg.deformation.foreign.clouds import read_points
 from thalweg.images import read_marks
 from thalweg.ingest import GNSS_POSITION, IntegrityReport, PositionLog, read_places, read_text_table
 from thalweg.ingest.clouds import read_cloud
+from thalweg.ingest.moments import _unix_of_numbers, past_midnight, stated_zone
 from thalweg.ingest.registry.poses import doubtful_heading
 from thalweg.ingest.tracks import read_sbet, read_text_poses
 
@@ -319,6 +320,124 @@ def test_a_deep_place_and_coarse_numbers_are_no_stand_ins():
     assert far_repeated([*DEPTH, 9.0, 9.0]) == ()
     assert far_repeated([1.0] * 40 + [2.0] * 5 + [30.0] * 5) == ()
     assert far_repeated([*DEPTH, 4.0, 4.0, 4.0]) == ()
+
+
+def three(value):
+    return [value] * 3
+
+
+HUNDREDS, ONES, BELOW = np.linspace(100, 101, 20), np.linspace(1, 2, 20), np.linspace(-1.05, -1, 20)
+FIVE, FOUR = np.repeat([1.0, 1.1, 1.2, 1.3, 1.4], 5), np.repeat([1.0, 1.1, 1.2, 1.3], 6)
+
+
+@pytest.mark.parametrize(
+    ("values", "ends"),
+    [
+        # zero, or below it, beside heights above; twice as far as any other; eleven spans away
+        ([*HUNDREDS, *three(0.0)], (0.0,)), ([*HUNDREDS, *three(-5.0)], (-5.0,)),
+        ([*HUNDREDS, *three(80.0)], ()), ([*HUNDREDS, *three(203.0)], (203.0,)),
+        ([*HUNDREDS, *three(201.0)], ()),
+        ([*ONES, *three(12.1)], (12.1,)), ([*ONES, *three(11.9)], ()),
+        ([*BELOW, *three(0.0)], (0.0,)), ([*BELOW, *three(-2.2)], (-2.2,)), ([*BELOW, *three(-2.0)], ()),
+        # both ends, neither far from the other ones alone
+        ([*HUNDREDS, *three(0.0), *three(203.0)], (0.0, 203.0)),
+        # three times, beside twenty others, of which five differ
+        ([*HUNDREDS, 0.0, 0.0], ()), ([*HUNDREDS[1:], *three(0.0)], ()),
+        ([*FIVE, *three(99.0)], (99.0,)), ([*FOUR, *three(99.0)], ()),
+        ([*HUNDREDS, *three(0.0), np.nan, np.inf], (0.0,)), ([], ()),
+    ],
+)  # fmt: skip
+def test_numbers_far_from_all_others_by_hand(values, ends):
+    assert far_repeated(values) == ends
+
+
+NONE_OF_ALL = "-9999 -99999 -999999 -32768 -32767 -9999.99 -9999.9 -777"
+NONE_OF = {
+    "depth": "0 999 999.9 999.99 9999 9999.9 99999 -999 -99 -1 32767 65535",
+    "height": "9999 9999.9 99999 -999 -999.9 -10000 32767",
+    "position": "99999 999999 9999999",
+    "sigma": "-1 999 9999 99999",
+    "time": "0 -1",
+    "other": "",
+}
+
+
+@pytest.mark.parametrize("quantity", NONE_OF)
+def test_numbers_that_stand_for_none_of_each_quantity(quantity):
+    every = sorted({float(x) for x in " ".join([NONE_OF_ALL, *NONE_OF.values()]).split()})
+    none = {float(x) for x in f"{NONE_OF_ALL} {NONE_OF[quantity]}".split()}
+    for numbers in (np.array(every), np.array(every, np.float32)):
+        assert np.array(every)[is_nothing(numbers, quantity)].tolist() == sorted(none)
+    beside = np.array([0.01 if x == 0.0 else x * (1 + 3e-7) for x in [*every, 5.0]])
+    assert not is_nothing(beside, quantity).any()
+    assert is_nothing([1.0e9, -1.0e9, np.nan, np.inf, 1e38], quantity).all()
+    assert not is_nothing([0.99e9, -0.99e9], quantity).any()
+
+
+ZONES = {
+    0: "time (UTC)|GMT|Z|time|EST or EDT|UTC+15|utc+2x|Mars/Phobos",
+    1: "CET|Zeit in MEZ", 2: "CEST|MESZ|EET|UTC+2|GMT +02:00|+0200|UTC+2 h", 3: "EEST", 9: "JST", 10: "AEST",
+    11: "AEDT", 12: "NZST", 13: "NZDT", 14: "UTC+14", -4: "EDT", -5: "EST|CDT|UTC-5|-05:00", -6: "MDT",
+    -7: "MST|PDT", -8: "PST", 5.5: "UTC+5:30|GMT+5.5", -3.5: "UTC-3:30",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("hours", ZONES)
+def test_zones_in_words(hours):
+    for text in ZONES[hours].split("|"):
+        zone = stated_zone("no zone", text)
+        assert (0 if zone is None else zone.utcoffset(None).total_seconds() / 3600) == hours, text
+
+
+def test_zones_of_places_and_the_first_of_several():
+    assert str(stated_zone("Europe/Berlin", "PST")) == "Europe/Berlin"
+    assert stated_zone("time in PST", "CEST").utcoffset(None).total_seconds() == -8 * 3600.0
+    assert stated_zone() is None
+
+
+@pytest.mark.parametrize(
+    ("clock_s", "later"),
+    [
+        ([86_390, 86_399, 5, 9], [0, 0, 1, 1]), ([86_399, 1, 86_398, 2], [0, 1, 1, 2]),
+        ([77_800, 39, 50], [0, 1, 1]), ([77_700, 61, 70], [0, 0, 0]),
+        ([86_399, 5, 4, 9], [0, 0, 0, 0]), ([5, 6, 7], [0, 0, 0]),
+    ],
+)  # fmt: skip
+def test_clocks_that_pass_midnight(clock_s, later):
+    """By nine tenths of a day; where another step goes back nothing is put right."""
+    found = past_midnight(np.array(clock_s, float))
+    assert found.tolist() == (np.array(clock_s) + 86_400 * np.array(later)).tolist()
+
+
+@pytest.mark.parametrize(
+    ("first", "words"),
+    [(25_569.0, "Excel"), (40_587.0, "modified"), (719_529.0, "MATLAB"), (2_440_587.5, "days")],
+)
+def test_counts_of_days_are_told_by_their_size(first, words):
+    at = first + TEN / 86_400 + np.arange(30) / 86_400
+    unix_s, (note,) = _unix_of_numbers(np.append(at, np.nan), "t")
+    # days of today in float64 resolve 40 us
+    assert unix_s[:-1] == pytest.approx(TEN + np.arange(30), abs=1e-4)
+    assert words in note
+    # a row every ten minutes is slower than 0.005 of a day, one every five is not
+    slow, fast = (first + TEN / 86_400 + np.arange(30) * minutes / 1440 for minutes in (10, 5))
+    assert _unix_of_numbers(slow, "t") is None or "days" not in _unix_of_numbers(slow, "t")[1][0]
+    assert words in _unix_of_numbers(fast, "t")[1][0]
+    for year in (1999, 2029):
+        other = first + (year - 1970) * 365.25 + np.arange(30) / 86_400
+        found = _unix_of_numbers(other, "t")
+        assert found is None or words not in found[1][0]
+
+
+def test_a_number_of_two_scales_is_told_by_the_name_of_its_column():
+    number = 1_402_221_618.0 + np.arange(3.0)  # 2014 in Unix time, 2024 in GPS time
+    for name, unix_s, words in (
+        ("time", 1_402_221_618.0, "seconds since 1970"), ("GPS time", TEN, "taken as GPS seconds since 1980"),
+    ):  # fmt: skip
+        found, (note,) = _unix_of_numbers(number, name)
+        assert found.tolist() == (unix_s + np.arange(3.0)).tolist()
+        assert words in note
+        assert "1402221618 is 2014-06-08" in note
 
 
 @pytest.mark.parametrize(
