@@ -11,7 +11,9 @@ from plyfile import PlyData, PlyElement
 from pyproj import CRS
 
 from thalweg.core import ArrayF, InputError, LazWriter, LocalFrame, ThalwegError, UnsupportedError
+from thalweg.ingest import IntegrityReport
 from thalweg.ingest.clouds import read_cloud
+from thalweg.ingest.clouds.reader import _without_height, eight_bit, single_step_m
 
 N = 1000
 FRAME = LocalFrame(lat_deg=51.05, lon_deg=13.25, h_ell_m=300.0)
@@ -110,6 +112,43 @@ def test_ply_float_colours(tmp_path):
     (tmp_path / "a.ply").write_text(head + "1 2 3 0 0.5 1\n4 5 6 1 1 1\n")
     rgb = read_cloud(tmp_path / "a.ply").rgb
     assert_array_equal(rgb, [[0, 128, 255], [255, 255, 255]])
+
+
+@pytest.mark.parametrize(
+    ("values", "kind", "expected", "note"),
+    [
+        ([0, 7, 255], "u1", [0, 7, 255], False),
+        ([0.0, 0.5, 1.0], "f4", [0, 128, 255], False),
+        ([0.0, 1.6, 300.0], "f4", [0, 2, 255], False),
+        ([np.nan, np.inf, 1.0], "f8", [0, 0, 255], False),
+        ([-1, 7, 255], "i2", [0, 7, 255], False),
+        ([0, 255, 256], "u2", [0, 0, 1], True),
+        ([-300, 512, 65_535], "i4", [0, 2, 255], True),
+    ],
+)
+def test_colours_become_eight_bits(values, kind, expected, note):
+    report = IntegrityReport(stream="cloud", format="", files=[])
+    found = eight_bit(np.array(values, kind), report)
+    assert (found.dtype, found.tolist()) == (np.uint8, expected)
+    assert report.notes == ["Colours of 16 bit are brought to 8 bit."] * note
+    assert eight_bit(np.zeros((0, 3), kind), report).shape == (0, 3)
+
+
+def test_steps_of_single_precision():
+    """2^-23 of the power of two below: of 50 it is 32, of 1024 itself."""
+    assert single_step_m(np.array([1.0, -50.0, np.nan, np.inf])) == 32 * 2.0**-23
+    assert single_step_m(np.array([1024.0])) == 1024 * 2.0**-23
+    assert single_step_m(np.array([np.nan])) == single_step_m(np.array([])) == 2.0**-149
+    assert np.isfinite(single_step_m(np.array([1e300])))
+
+
+def test_heights_that_stand_for_none_are_found_one_behind_another():
+    z = np.array([*np.linspace(100, 101, 30), -9999.0, 9999.0, -32768.0, -9999.0, np.nan])
+    good = np.isfinite(z)
+    good[31] = False  # that was left out before
+    assert np.flatnonzero(_without_height(z, good)).tolist() == [30, 32, 33]
+    assert not _without_height(z[:1], good[:1]).any()
+    assert not _without_height(z[:0], good[:0]).any()
 
 
 def test_ply_map_coordinates_in_single_precision_are_said(tmp_path):

@@ -220,6 +220,55 @@ def test_base_and_observations_by_sender(tmp_path, read):
     assert noted(read(data + base(xyz[0] + 0.5, *xyz[1:])), "differ by up to 0.500 m")
 
 
+def test_the_report_of_a_log_by_hand(read):
+    """Each count and detail of positions of one receiver beside another, a base and observations of both."""
+    there, here = ecef_of(51.01, 13.5, 150.25), ecef_of(51.0, 13.5, 150.25)
+    epochs = [gps(TOW + k) + llh(TOW + k, flags=4 if k else 3) + obs(TOW + k) for k in (0, 100, 200)]
+    data = b"".join(epochs) + cov(TOW + 200) + base(*there) * 2 + obs(TOW, sender=0, signals=3)
+    data += llh(TOW, sender=7) + sbp(0x0081, b"") + sbp(0x008A, b"") + sbp(0xFFF0, b"abc") * 2
+    report = read(data + utc(TOW + 200, 55, ns=600_000_000)).report
+    assert report.counts == {
+        "messages": 20, "messages_of_unknown_type": 2, "ephemerides": 2, "positions": 3, "base_positions": 2,
+        "observation_epochs_base": 1, f"observation_epochs_{ROVER}": 3,
+    }  # fmt: skip
+    km = np.linalg.norm(np.subtract(there, here)) / 1000
+    assert report.details.pop("messages by type and sender") == {
+        f"MsgGPSTime {ROVER}": 3, f"MsgPosLLH {ROVER}": 3, f"MsgObs {ROVER}": 3, "MsgBasePosECEF 0": 2,
+        f"0xFFF0 {ROVER}": 2, f"MsgPosLLHCov {ROVER}": 1, "MsgObs 0": 1, "MsgPosLLH 7": 1,
+        f"MsgUtcTime {ROVER}": 1, f"MsgEphemerisGPSDepE {ROVER}": 1, f"MsgEphemerisGPS {ROVER}": 1,
+    }  # fmt: skip
+    expected = {
+        "GPS week from": "MsgGPSTime", "GPS - UTC": {"18.000 s": 1}, "fixes": {"fixed": 2, "float": 1},
+        "positions from": "MsgPosLLHCov + MsgPosLLH", "distance of the base": f"{km:.3f} km, median",
+        "signals by code, sender 0": {"0": 3}, f"signals by code, sender {ROVER}": {"0": 6},
+    }  # fmt: skip
+    assert expected.items() <= report.details.items()
+    assert report.notes == [
+        "Message types that the SBP specification does not name: 0xFFF0 (2).",
+        f"Positions of sender {ROVER} are used; those of 7 (1 messages) are not.",
+    ]
+    assert (report.synchronised, report.time_scale, report.timing.resolution_s) == (True, "gps", 1e-3)
+    fine = read(gps(TOW, ns=5) + llh(TOW)).report
+    assert fine.timing.resolution_s == 1e-9
+
+
+@pytest.mark.parametrize(("ns", "told"), [(401_000_000, False), (402_000_000, True), (398_000_000, True)])
+def test_an_offset_of_utc_is_compared_to_a_millisecond(read, ns, told):
+    log = read(gps(TOW) + utc(TOW, 55, ns=ns) + llh(TOW))
+    assert noted(log, "The receiver states GPS - UTC", "1 of 1 stamps differ") == told
+
+
+@pytest.mark.parametrize(("moved_m", "told"), [(0.0009, False), (0.0011, True)])
+def test_a_base_that_moves_by_a_millimetre_is_told(tmp_path, read, moved_m, told):
+    log = read(gps(TOW) + llh(TOW) + base(3.9e6, 9e5, 4.9e6) + base(3.9e6, 9e5, 4.9e6 + moved_m))
+    assert noted(log, "differ by up to 0.001 m") == told
+    read(gps(TOW) + base(6.1e6, 0, 0) + base(5.9e6, 0, 0) + base(np.nan, 6.1e6, 0))
+    assert base_of(tmp_path).tolist() == [[6.1e6, 0, 0]]
+    places = [(90.0, 1.0, 5.0), (-90.1, 1.0, 5.0), (0.0, 1.0, 5.0), (1.0, np.nan, 5.0), (1.0, 2.0, np.inf)]
+    read(gps(TOW) + b"".join(sbp(sm.BASE_LLH, struct.pack("<3d", *place), 0) for place in places))
+    assert base_of(tmp_path) == pytest.approx(ecef_of([90.0], [1.0], [5.0]))
+
+
 def test_base_from_latitude_and_longitude(tmp_path, read):
     read(gps(TOW) + sbp(sm.BASE_LLH, struct.pack("<3d", 0.5, 0.0, 100.0), 0))
     assert base_of(tmp_path)[0] == pytest.approx(ecef_of(0.5, 0.0, 100.0), abs=1e-6)
