@@ -10,8 +10,9 @@ from pyproj import Geod
 
 from tests.ingest.writers import noted
 from thalweg.core import ArrayF, InputError, ThalwegError, gps_from_week, write_table
-from thalweg.ingest import INS_STATE, PoseLog
+from thalweg.ingest import INS_STATE, IntegrityReport, PoseLog
 from thalweg.ingest.tracks import read_sbet
+from thalweg.ingest.tracks.sbet import _plausible, _possible_times, half_turn
 
 WEEK = 1948
 HEADING = np.deg2rad(60.0)
@@ -178,6 +179,38 @@ def test_damaged_records_are_dropped_and_counted(read):
     kinds = ("impossible_times", "impossible_positions", "impossible_attitudes", "not_finite_or_huge")
     assert log.report.losses == dict.fromkeys(kinds, 1)
     assert [gap.lost for gap in log.report.gaps] == [1, 3]
+
+
+PI = np.pi
+LIMITS = {  # column: the last possible values, and those beyond them by what is lost
+    0: ([0.0, 2e-6, 1_209_599.0], [-1.0, 1e-7, 1_209_600.0], "impossible_times"),
+    1: ([PI / 2, -PI / 2], [1.571, -1.571], "impossible_positions"),
+    2: ([2 * PI, -2 * PI], [6.284, -6.284], "impossible_positions"),
+    3: ([99_999.0, -99_999.0], [1e5, -1e5], "impossible_positions"),
+    7: ([1.009 * PI, -1.009 * PI], [1.011 * PI, -1.011 * PI], "impossible_attitudes"),
+    8: ([0.509 * PI, -0.509 * PI], [0.511 * PI, -0.511 * PI], "impossible_attitudes"),
+    9: ([3.99 * PI, -3.99 * PI], [4.01 * PI, -4.01 * PI], "impossible_attitudes"),
+    10: ([3.99 * PI, -3.99 * PI], [4.01 * PI, -4.01 * PI], "impossible_attitudes"),
+    **{k: ([0.99e9, -0.99e9], [1e9, -1e9, np.nan], "not_finite_or_huge") for k in (4, 6, 11, 16)},
+}
+
+
+@pytest.mark.parametrize("column", LIMITS)
+def test_values_on_both_sides_of_what_is_possible(column):
+    last, beyond, lost = LIMITS[column]
+    array = records(50)
+    at = np.arange(len(last) + len(beyond))
+    array[at, column] = [*last, *beyond]
+    report = IntegrityReport(stream="ins", format="SBET", files=[])
+    keep = _plausible(array, report)
+    assert np.flatnonzero(~keep).tolist() == at[len(last) :].tolist()
+    assert report.losses == {lost: len(beyond)}
+
+
+def test_times_with_a_date_may_be_larger():
+    dated = np.array([4.0e8] * 5 + [2.9e9, 3.0e9, 1.3e6])
+    assert _possible_times(dated).tolist() == [True] * 6 + [False, True]
+    assert half_turn(np.array([180.0, 180.1, 359.0, -179.0])) == pytest.approx([180.0, -179.9, -1.0, -179.0])
 
 
 def test_big_endian_is_read_and_said(read):
