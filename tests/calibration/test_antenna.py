@@ -113,3 +113,41 @@ def test_a_roughly_known_place_is_no_reason_to_refuse():
         check_nominal(far, LIDAR, ANTENNA, marker=98)
     # nothing to compare with
     check_nominal(far, LIDAR | {"lever_ics_m": [0.0, 0.0, 0.0]}, ANTENNA, marker=98)
+
+
+def test_places_at_their_limits():
+    """Half a metre where all is known well; else five sigmas, in the direction of the difference."""
+    for off, refused in ((0.49, False), (0.51, True)):
+        place = seen_at(np.array([0.0, off, 0.0]))
+        if refused:
+            with pytest.raises(GeometryError, match=r"at most 0\.5 m, or 5 sigmas of 0\.0\d\d m"):
+                check_nominal(place, LIDAR, ANTENNA, marker=98)
+        else:
+            check_nominal(place, LIDAR, ANTENNA, marker=98)
+    rough = LIDAR | {"sigma_lever_m": [0.3, 0.2, 0.1], "sigma_kappa_deg": 4.0}
+    antenna = ANTENNA | {"sigma_lever_m": [0.05, 0.06, 0.07]}
+    u = np.array([2.0, -1.0, 2.0]) / 3.0
+    known = np.sum(u**2 * (np.array([0.3, 0.2, 0.1]) ** 2 + np.array([0.05, 0.06, 0.07]) ** 2)) + 1e-6
+    nominal = np.array(antenna["lever_ics_m"]) - np.array(LIDAR["lever_ics_m"])
+    size = 1.0
+    for _ in range(50):  # the arm, about which the lidar may be turned, grows with the difference
+        size = 5.0 * np.sqrt(known + (np.deg2rad(4.0) * np.linalg.norm(nominal + size * u)) ** 2)
+    check_nominal(seen_at(0.995 * size * u), rough, antenna, marker=98)
+    with pytest.raises(GeometryError, match=f"{1.005 * size:.2f} m from its lever arm"):
+        check_nominal(seen_at(1.005 * size * u), rough, antenna, marker=98)
+
+
+@pytest.mark.parametrize("shape", ["rectangle", "rhombus"])
+def test_a_print_may_be_bent_by_a_twentieth(shape):
+    for bent, refused in ((0.049, False), (0.051, True)):
+        more, less = 1 + bent / 2, 1 - bent / 2
+        if shape == "rectangle":
+            saddles = SQUARE * [more, less, 1.0]
+        else:
+            along, across = SQUARE[0] * more, SQUARE[1] * less
+            saddles = np.array([along, across, -along, -across])
+        if refused:
+            with pytest.raises(GeometryError, match="the saddles of the antenna's marker are"):
+                phase_centre(saddles, np.eye(12), offset_m=0.0, sigma_offset_m=0.001)
+        else:
+            phase_centre(saddles, np.eye(12), offset_m=0.0, sigma_offset_m=0.001)

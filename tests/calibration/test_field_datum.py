@@ -10,7 +10,7 @@ from tests.bands import band
 from tests.calibration import field_blocks as blocks
 from thalweg.calibration import MarkerLayout
 from thalweg.calibration.field import FieldPoints
-from thalweg.calibration.field.datum import FieldDatum, field_datum
+from thalweg.calibration.field.datum import FieldDatum, field_datum, targets_wcs
 from thalweg.calibration.field.description import Target
 from thalweg.core import GeometryError, Rigid, exp_rotation
 
@@ -115,3 +115,46 @@ def test_a_field_of_another_scale_than_the_targets(factor):
     scaled = replace(large, points_pcs=factor * large.points_pcs)
     with pytest.raises(GeometryError, match="RTK targets contradict the field by"):
         field_datum(scaled, targets(3), FRAME)
+
+
+def test_each_number_of_a_datum_by_hand():
+    """Weights of RTK and of the turned covariance of each centre; derivatives by differences."""
+    root = np.random.default_rng(7).standard_normal((72, 72)) * 4e-4
+    points = replace(field(), cov=root @ root.T)
+    rtk = targets(5)
+    found = field_datum(points, rtk, FRAME)
+    T, wcs = found.T_wcs_pcs, targets_wcs(rtk, FRAME)
+    centres = points.points_pcs.reshape(6, 4, 3).mean(axis=1)
+    v = wcs - T.apply(centres)
+    table = found.table
+    assert table["target"].tolist() == [t.name for t in rtk]
+    assert table["marker"].tolist() == list(range(64, 70))
+    names = [f"{a}_m" for a in ("east", "north", "up")]
+    np.testing.assert_allclose(table[names], wcs)
+    np.testing.assert_allclose(table[[f"residual_{name}" for name in names]], v, atol=1e-12)
+    assert table["used"].all()
+    W = np.zeros((18, 18))
+    for k in range(6):
+        mean = np.zeros((3, 72))
+        mean[:, 12 * k : 12 * k + 12] = np.tile(np.eye(3), 4) / 4
+        own = slice(3 * k, 3 * k + 3)
+        W[own, own] = np.linalg.inv(np.diag(np.square(SIGMA)) + T.R @ mean @ points.cov @ mean.T @ T.R.T)
+    h = 1e-6
+    J = np.column_stack(
+        [
+            (T.moved(h * e).apply(centres) - T.moved(-h * e).apply(centres)).ravel() / (2 * h)
+            for e in np.eye(6)
+        ]
+    )
+    N = J.T @ W @ J
+    # the adjustment stops at a small part of a sigma
+    sigma = np.sqrt(np.diag(np.linalg.inv(N)))
+    assert np.abs(np.linalg.solve(N, J.T @ W @ v.ravel()) / sigma).max() < 0.01
+    np.testing.assert_allclose(
+        T.cov / np.outer(sigma, sigma), np.linalg.inv(N) / np.outer(sigma, sigma), atol=1e-4
+    )
+    assert found.redundancy == 12
+    assert found.sigma0 == pytest.approx(np.sqrt(v.ravel() @ W @ v.ravel() / 12), rel=1e-4)
+    grown = ((centres - centres.mean(axis=0)) @ T.R.T).ravel()
+    assert found.sigma_scale == pytest.approx(1 / np.sqrt(grown @ W @ grown), rel=1e-6)
+    assert found.rejected == ()
