@@ -6,7 +6,6 @@ import numpy as np
 import pandas as pd
 import pytest
 from numpy.testing import assert_allclose
-from scipy.spatial.transform import Rotation
 
 from thalweg.clocks import Track
 from thalweg.clocks.camera_offset import OffsetOptions
@@ -17,10 +16,9 @@ from thalweg.clocks.synchronise import (
     offset_options,
     run_attitude,
     run_facts,
-    run_poses,
     synchronise_run,
 )
-from thalweg.core import ClockError, CoverageError, GeometryError, LocalFrame, Rigid, rotation_enu_body
+from thalweg.core import ClockError, CoverageError, GeometryError, LocalFrame, rotation_enu_body
 
 FRAME = LocalFrame(lat_deg=51.0, lon_deg=13.0, h_ell_m=120.0)
 
@@ -142,41 +140,6 @@ def test_facts_of_a_run():
     assert run_facts(Synchronised(result=found, variant="p2", variants=pd.DataFrame()))["R_ics_ccs"] is None
 
 
-def test_poses_of_a_run_turn_with_their_field():
-    """Sorted by their stamps; covariances turned into the world; what has no partner is counted."""
-    rng = np.random.default_rng(4)
-    T = Rigid(
-        R=Rotation.from_euler("zyx", [70, 10, -5], degrees=True).as_matrix(), shift_m=np.array([5.0, 6, 7])
-    )
-    T = T.with_cov(np.diag(np.arange(1.0, 7.0)))
-    root = rng.standard_normal((3, 6, 6))
-    names = ["a/2.jpg", r"b\1.jpg", "3.jpg"]
-    poses = {
-        name: Rigid(
-            R=Rotation.random(random_state=k).as_matrix(), shift_m=rng.standard_normal(3), cov=r @ r.T
-        )
-        for k, (name, r) in enumerate(zip(names, root, strict=True))
-    }
-    stamps = pd.DataFrame(
-        {"file": ["1.jpg", "2.jpg", "3.jpg", "4.jpg"], "t_device_s": [10.0, 20.0, np.nan, 40.0]}
-    )
-    found, shared, counts = run_poses(names, poses, T, stamps)
-    assert found.file.tolist() == ["1.jpg", "2.jpg"]
-    assert found.t_device_s.tolist() == [10.0, 20.0]
-    for k, name in ((0, names[1]), (1, names[0])):
-        assert_allclose(found.R_wcs_ccs[k], T.R @ poses[name].R)
-        assert_allclose(found.centre_wcs_m[k], T.R @ poses[name].shift_m + T.shift_m)
-        C = poses[name].cov
-        assert_allclose(found.cov_pose_wcs[k][:3, :3], T.R @ C[:3, :3] @ T.R.T, atol=1e-12)
-        assert_allclose(found.cov_pose_wcs[k][:3, 3:], T.R @ C[:3, 3:] @ T.R.T, atol=1e-12)
-        assert_allclose(found.cov_pose_wcs[k][3:, 3:], T.R @ C[3:, 3:] @ T.R.T, atol=1e-12)
-    assert_allclose(shared.cov, T.cov)
-    assert_allclose(shared.about_wcs_m, T.shift_m)
-    assert counts == {"images_with_pose_and_time": 2, "poses_without_time": 1, "times_without_pose": 1}
-    with pytest.raises(ClockError, match="none of 1 images with a pose is among 3 images with a time"):
-        run_poses(["3.jpg"], poses, T, stamps)
-
-
 def test_attitudes_and_options_of_a_run():
     degree = np.pi / 180
     states = pd.DataFrame(
@@ -199,7 +162,6 @@ def test_attitudes_and_options_of_a_run():
     # the median of what is stated; what is not stated, or as nothing, is that of the maker's table
     assert_allclose(found.sigma_rad, [0.03, 0.1 * degree, 0.2 * degree])
     assert (found.correlation_time_s, found.high_pass_s) == (17.0, 33.0)
-    assert run_attitude(states, FRAME, how | {"use_attitude": False}) is None
     with pytest.raises(CoverageError, match="1 INS states"):
         run_attitude(states[1:3], FRAME, how)
     options = offset_options(
