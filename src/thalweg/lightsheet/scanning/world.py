@@ -128,7 +128,7 @@ def check_order(images: Sequence[str], t_gps_s: ArrayF) -> None:
         first, second = known[k], known[k + 1]
         raise ClockError(
             f"{int((step <= 0).sum())} images are out of order: {images[second]} comes after "
-            f"{images[first]} but is {-step[k]:.3f} s older",
+            f"{images[first]} but is {abs(step[k]):.3f} s older",
             expected="images in the order in which they were taken",
             where="times of the light sheet's images",
             cure="Sort the images by their stamps; look for renamed or repeated files",
