@@ -662,3 +662,38 @@ def test_weights_of_what_lies_far_off():
     size = np.array([0.0, 0.5 * _HUBER, _HUBER, 4.0 * _HUBER])
     v = np.outer(size * np.sqrt(3.0), [0.6, 0.0, -0.8])
     np.testing.assert_allclose(_huber(v), [[1.0], [1.0], [1.0], [0.5]])
+
+
+def test_a_model_in_its_own_frame_takes_scale_and_turn_of_its_similarity(monkeypatch):
+    """Places and their covariance are scaled, rotations are only turned; what is unknown stays so."""
+    rng = np.random.default_rng(5)
+    R = rotation_z(0.6)
+    fit = SimpleNamespace(scale=3.0, R=R, shift_m=np.array([10.0, 20.0, 30.0]), rms_m=0.4, rms_rad=0.02)
+    monkeypatch.setattr(imports, "align", lambda *words: fit)
+    root = rng.normal(0, 1, (2, 6, 6))
+    cov = root @ np.swapaxes(root, 1, 2)
+    cov[1, 0, 0] = np.nan
+    chosen = SimpleNamespace(
+        program="Metashape", where="a.xml", coordinates=rng.normal(0, 1, (2, 3)), cov=cov, names=("a", "b"),
+        R_place_ccs=exp_rotation(rng.normal(0, 1, (2, 3))),
+    )  # fmt: skip
+    limits = {"limit_m": 0.5, "limit_rad": 0.03}
+    near = SimpleNamespace(centre_wcs_m=None, R_wcs_ccs=None, sigma_m=0.1, sigma_rad=0.1, **limits)
+    how = {"align": "predictions"}
+    centre, turned, moved, told = imports._aligned(chosen, chosen, near, how)
+    np.testing.assert_allclose(centre, 3.0 * chosen.coordinates @ R.T + fit.shift_m)
+    np.testing.assert_allclose(turned, R @ chosen.R_place_ccs)
+    J = np.zeros((6, 6))
+    J[:3, :3], J[3:, 3:] = 3.0 * R, R
+    np.testing.assert_allclose(moved[0], J @ cov[0] @ J.T)
+    assert np.isnan(moved[1, 0, 0])
+    assert told == {"scale": 3.0, "rms_m": 0.4, "rms_deg": pytest.approx(np.rad2deg(0.02)), "images": 2.0}
+    with pytest.raises(InputError, match="no image has a prediction"):
+        imports._aligned(chosen, None, near, how)
+    words = r"a similarity of the scale 3 puts it .* rms of 0\.40 m and 1\.15 degrees in 2 images"
+    with pytest.raises(InputError, match=words):
+        imports._aligned(chosen, chosen, near, {"align": "refuse"})
+    for name in limits:
+        far = SimpleNamespace(**{**vars(near), name: 0.0})
+        with pytest.raises(InputError, match="it is not the same track"):
+            imports._aligned(chosen, chosen, far, how)

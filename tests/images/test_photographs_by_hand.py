@@ -17,6 +17,7 @@ from thalweg.images import photographs
 from thalweg.images.bundle.job import Pieces
 from thalweg.images.model import ControlPoints
 from thalweg.images.photographs import PhotographBlock, in_crs, pose_table, with_measured_points
+from thalweg.images.sfm import features
 from thalweg.settings.sections import LOCAL, ControlSettings
 
 PINHOLE = Camera(
@@ -211,3 +212,20 @@ def test_the_files_of_a_campaign_are_handed_on(tmp_path, monkeypatch, caplog):
     assert [r.message for r in caplog.records if r.levelname == "WARNING"] == ["a note"]
     photographs.orient_files(**words, **{key: [] for key in two})
     assert [told[n] for n in ("marks", "positions", "camera", "masks")] == [None] * 4
+
+
+def test_features_of_the_largest_scale_and_pictures_with_few():
+    place = np.array([[0, 0, 2.0], [0, 0, 9.0], [0, 0, 5.0], [0, 0, 2.0], [0, 0, 7.0]], np.float32)
+    free = np.array([True, False, True, True, True])
+    assert features._largest(place, free, 4).tolist() == [0, 2, 3, 4]
+    assert features._largest(place, free, 3).tolist() == [0, 2, 4]  # of equals the first
+    assert features._largest(place, free, 1).tolist() == [4]
+    how = SimpleNamespace(min_features=100)
+
+    def told(n, contrast, share):
+        return features._few(SimpleNamespace(contrast=contrast, usable_share=share), n, how)
+
+    assert told(100, 0.0, 0.0) == ""
+    assert told(99, 2.9, 0.2) == "99 features: the usable part is blank (contrast 2.9 of 255)"
+    assert told(99, 3.0, 0.5) == "99 features: too blurred or without texture"
+    assert told(99, 3.0, 0.25) == "99 features: too blurred or without texture, 75 % are masked"
