@@ -271,6 +271,20 @@ def test_points_far_from_the_campaign_are_refused_with_the_reading_that_fits(val
     assert str(caught.value).startswith("marks.csv: control points about ")
 
 
+def test_small_numbers_near_the_equator_are_not_counted_from_the_centre_of_the_earth():
+    """Right below a place at 10 degrees one passes it at 7 km; the surface is 6.33 to 6.40 million m away."""
+    frame = LocalFrame(lat_deg=10.0, lon_deg=15.0, h_ell_m=0.0)
+    up = np.array(Transformer.from_crs(4979, 4978).transform(10.0, 15.0, 0.0)) / 6_377_491.0
+    for metres, words in (
+        (1.0, "coordinates of the world frame"), (6.34e6, "Earth-centred"), (6.39e6, "Earth-centred"),
+        (6.32e6, None), (6.41e6, None),
+    ):  # fmt: skip
+        with pytest.raises(GeometryError) as caught:
+            near_world((metres * up)[None], MAP, CRS(32633), frame, "a")
+        assert (words or "") in str(caught.value)
+        assert ("would fit" in str(caught.value)) == (words is not None)
+
+
 def test_points_far_from_the_campaign_that_fit_no_reading():
     """Within 10 km they are taken; beyond as they are, unless there is a limit; strays are told apart."""
     near = np.array([[9_900.0, 0.0, 0.0]])

@@ -208,8 +208,8 @@ def test_values_on_both_sides_of_what_is_possible(column):
 
 
 def test_times_with_a_date_may_be_larger():
-    dated = np.array([4.0e8] * 5 + [2.9e9, 3.0e9, 1.3e6])
-    assert _possible_times(dated).tolist() == [True] * 6 + [False, True]
+    dated = np.array([4.0e8] * 1000 + [2.9e9, 3.0e9, 1.3e6])  # most of them tell the scale
+    assert _possible_times(dated)[999:].tolist() == [True, True, False, True]
     assert half_turn(np.array([180.0, 180.1, 359.0, -179.0])) == pytest.approx([180.0, -179.9, -1.0, -179.0])
 
 

@@ -13,7 +13,6 @@ from tests.ingest.writers import nmea
 from thalweg.core import gps_from_unix
 from thalweg.ingest import LidarClock
 from thalweg.ingest.velodyne.clock import ClockBuilder, clocks_apart, parse_rmc
-from thalweg.ingest.velodyne.packets import GAP, STEP_BACK, PositionPacket
 from thalweg.ingest.velodyne.reader import iter_points, scan_lidar
 
 HOUR = 1_700_000_000 // 3600 * 3600
@@ -383,10 +382,10 @@ def test_rmc(sentence, unix_s, why):
 
 
 def block(t_s, *positions, first=0, marked=None):
-    """Packets at these seconds; ``marked`` holds the distance from the packet before behind a hole."""
+    """Packets at these seconds; ``marked`` holds the step over a hole (event 5), or back (6), before one."""
     jump_us, event = np.zeros(len(t_s), np.int64), np.zeros(len(t_s), np.uint8)
     for k, jump_s in (marked or {}).items():
-        jump_us[k - first], event[k - first] = round(jump_s * 1e6), GAP if jump_s > 0 else STEP_BACK
+        jump_us[k - first], event[k - first] = round(jump_s * 1e6), 5 if jump_s > 0 else 6
     t_us = np.rint(np.array(t_s) * 1e6).astype(np.int64)
     return SimpleNamespace(first_packet=first, t_us=t_us, event=event, jump_us=jump_us, positions=positions)
 
@@ -394,7 +393,7 @@ def block(t_s, *positions, first=0, marked=None):
 def position(after, toh_s, rmc_s=None, pps=2, sentence=None):
     """A position packet at this second of the hour, whose sentence is of another one."""
     sentence = sentence if rmc_s is None else log.rmc(HOUR + rmc_s)
-    return PositionPacket(after_packet=after, toh_us=round(toh_s * 1e6), pps=pps, sentence=sentence or b"")
+    return SimpleNamespace(after_packet=after, toh_us=round(toh_s * 1e6), pps=pps, sentence=sentence or b"")
 
 
 def built(*blocks):

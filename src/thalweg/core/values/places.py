@@ -46,6 +46,8 @@ _OF_TODAY: Final = ("WGS 84", "GRS 1980")
 """Ellipsoids of systems that differ from WGS 84 by a metre or two."""
 _TOLD_M: Final = 1.0
 """Accuracy that PROJ states of WGS 84 and the systems of today: what is worse is told."""
+_EARTH_M: Final = (6.33e6, 6.40e6)
+"""Distances from its centre: small numbers would lie right below a survey near the equator."""
 _OLD_GRIDS: Final = (31466, 31467, 31468, 31469)
 """EPSG codes of grids of another datum, that of Germany until 1990 and after."""
 
@@ -409,7 +411,11 @@ def readings(
             bare = values - np.stack([zone * 1e6, 0 * zone, 0 * zone], axis=1)
             words = f"{other.name} with the zone before the easting"
             yield Reading(words, "Take the zone off", bare, grid, other)
-    if frame is not None and form == grid:
+    if (
+        frame is not None
+        and form == grid
+        and _EARTH_M[0] < np.linalg.norm(np.median(values, axis=0)) < _EARTH_M[1]
+    ):
         earth = np.column_stack(Transformer.from_crs(4978, 4979).transform(*values.T))
         yield Reading("Earth-centred coordinates", "Export coordinates of a map", earth, geodetic, None)
     for code in _OLD_GRIDS if frame is not None and form == grid else ():
