@@ -11,6 +11,7 @@ from thalweg.bathymetry.crossings import (
     Crossings,
     _curvature,
     _intersections,
+    _pairs,
     _relief_m2,
     estimate_slow_errors,
     runs_by_pauses,
@@ -159,3 +160,41 @@ def test_the_curvature_is_that_of_a_paraboloid_and_at_least_that_of_the_prior():
     assert _curvature(bowl, np.array([0.3, -0.2])) == pytest.approx(H, abs=1e-9)
     flat = _curvature(lambda x: float(x[0] ** 2 * 5), np.zeros(2))
     assert flat == pytest.approx(np.diag([10.0, 2 / np.log(TIME_SPREAD) ** 2]), abs=1e-9)
+
+
+@pytest.mark.parametrize("slow", [("slow_a_m",), ("slow_b_m",), ("slow_a_m", "slow_b_m")])
+def test_a_pair_of_days_by_two_crossings_with_slow_errors_of_either(slow):
+    """What both crossings share stays in their mean; the day of the smaller number is the first."""
+    none = {name: np.zeros(2) for name in ("slow_a_m", "slow_b_m") if name not in slow}
+    found = crossings(**none)
+    variance = 0.01 + found.slow_covariance_m2(10.0).sum() / 2
+    for part, sign in (([0, 1], 1.0), ([1, 0], -1.0)):
+        (row,) = _pairs(found, np.array(part), 10.0).to_dict("records")
+        assert (row["a"], row["b"], row["n"]) == (0, 1, 2)
+        assert row["difference_m"] == pytest.approx(sign * 0.5)
+        assert row["sigma_m"] == pytest.approx(1.2533 * np.sqrt(variance / 2))
+        assert not row["contradicts"]  # two crossings tell nothing
+    assert not len(_pairs(found, np.array([3, 3]), 10.0))
+
+
+@pytest.mark.parametrize(
+    ("d", "scatter", "contradicts"),
+    [
+        ([0.14] * 3, 0.0, False),
+        ([0.145] * 3, 0.0, True),
+        ([0.3, 0.5, 0.9], 1.4826 * 0.2 / np.sqrt(2 / 3), False),
+        ([0.3, 0.405, 0.7], 1.4826 * 0.105 / np.sqrt(2 / 3), True),
+        ([-0.3, 0.1, 0.7], 1.4826 * 0.4 / np.sqrt(2 / 3), False),
+    ],
+)
+def test_a_pair_contradicts_beyond_95_percent_of_its_median(d, scatter, contradicts):
+    """0.1 m of white noise each, or the scatter about the median where that is more."""
+    zero = np.zeros(3)
+    found = crossings(
+        a_s=zero, b_s=zero, difference_m=np.array(d), white_m2=zero + 0.01, slow_a_m=zero, slow_b_m=zero,
+        at_a=zero.astype(int), at_b=zero.astype(int) + 1,
+    )  # fmt: skip
+    (row,) = _pairs(found, np.array([0, 1]), 10.0).to_dict("records")
+    assert row["difference_m"] == pytest.approx(np.median(d))
+    assert row["sigma_m"] == pytest.approx(1.2533 * max(0.1, scatter) / np.sqrt(3), rel=1e-4)
+    assert row["contradicts"] == contradicts

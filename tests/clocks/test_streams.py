@@ -93,6 +93,14 @@ def test_a_row_tells_all_about_a_synchronised_stream():
     assert row["notes"] == "worst | second"
 
 
+def test_a_stream_whose_end_is_not_known_has_no_duration_and_no_dates():
+    for ends in ({"t_first_s": T0}, {"t_last_s": T0}, {}):
+        one = IntegrityReport(stream="x", format="a log", files=[], synchronised=True, **ends)
+        (row,) = stream_table([one]).to_dict("records")
+        assert pd.isna(row["duration_s"])
+        assert (row["first_utc"], row["last_utc"]) == ("", "")
+
+
 def test_the_clock_and_the_offset_to_another_stream_stand_in_the_row(tmp_path):
     timing = StreamTiming(**TIMING)
     streams = [report("lidar", 0.0, 25.0, timing=timing), report("positions", 0.0, 25.0, rates_hz={"p": 4.0})]

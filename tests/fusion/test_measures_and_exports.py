@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import rasterio
+import shapely
 from scipy.spatial.distance import cdist
 
 from tests.fusion.conftest import DEPTH_M, FRAME, GRID, HALF_WIDTH_M, LEVEL_UP_M, bed_up_m
@@ -289,12 +290,23 @@ def test_a_map_of_a_bed_has_its_soundings_and_banks_by_side(tmp_path):
     grid = Grid(west_m=0.0, north_m=40.0, cell_m=4.0, rows=10, columns=12, crs=GRID)
     banks = pd.DataFrame({"side": ["left", "right"] * 3, "s_m": [20, 20, 0, 0, 10, 10]})
     banks = banks.assign(east_m=banks["s_m"], north_m=[30, 5] * 3)
-    water = SimpleNamespace(line=None, area=None, banks=SimpleNamespace(table=banks))
+    line = FlowLine.through([[0.0, 17.0], [20.0, 18.0], [40.0, 17.0]])
+    area = shapely.box(0.0, 5.0, 40.0, 30.0).difference(shapely.box(10.0, 10.0, 14.0, 14.0))
+    water = SimpleNamespace(line=line, area=area, banks=SimpleNamespace(table=banks))
     soundings = SimpleNamespace(
         places_m=[[3.0, 7.0], [9.0, 11.0]], height_m=[91.0, 92.0], sigma_m=0.1, line=[3, 4]
     )
-    found = SimpleNamespace(bed=SimpleNamespace(grid=grid, up_m=np.arange(120.0)), water=water)
+    height = np.tile(2.0013 + 4.0 * np.arange(12.0), 10)  # as many metres as it is east
+    found = SimpleNamespace(bed=SimpleNamespace(grid=grid, up_m=height), water=water)
     map_of_bed(tmp_path / "bed.gpkg", found, soundings)
+    contours, centre, shores = (
+        geopandas.read_file(tmp_path / "bed.gpkg", layer=of) for of in ("contours", "centre_line", "shores")
+    )
+    assert len(contours) > 5
+    for corners, level in zip(contours.geometry, contours["height_m"], strict=True):
+        assert np.array(corners.coords)[:, 0] == pytest.approx(level - 0.0013, abs=1e-6)
+    assert np.array(centre.geometry[0].coords) == pytest.approx(line.points_m)
+    assert sorted(ring.length for ring in shores.geometry) == [16.0, 130.0]
     points, sides = (geopandas.read_file(tmp_path / "bed.gpkg", layer=of) for of in ("soundings", "banks"))
     assert [p.coords[0] for p in points.geometry] == [(3.0, 7.0, 91.0), (9.0, 11.0, 92.0)]
     assert points[["sigma", "line"]].to_numpy().tolist() == [[0.1, 3], [0.1, 4]]
