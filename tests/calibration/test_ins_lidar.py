@@ -186,6 +186,11 @@ def test_the_antenna_brings_millimetres(typical):
     covariances = {"": typical.T_ics_scs.cov, "_formal": typical.cov_formal}
     for name, cov in covariances.items():
         assert table[f"sigma{name}"].to_numpy() == pytest.approx(np.sqrt(np.diag(cov)) * unit)
+    T, W = typical.T_ics_scs, typical.without_antenna
+    assert table["sigma_without_antenna"].to_numpy() == pytest.approx(np.sqrt(np.diag(W.cov)) * unit)
+    assert table["from_start"].to_numpy() == pytest.approx(T.error_from(START) * unit)
+    assert table["without_antenna_minus_with"].to_numpy() == pytest.approx(W.error_from(T) * unit)
+    assert table["unit"].tolist() == ["mm"] * 3 + ["deg"] * 3
     # a shift of the antenna in scs shifts the scanner by as much the other way
     assert typical.by_antenna[:3] == pytest.approx(-typical.T_ics_scs.R, abs=0.15)
 

@@ -219,6 +219,12 @@ def test_a_fit_finds_the_motion_within_its_sigmas(rng):
         theirs[:, 2] += rng.normal(0, 0.02, 200)[block]
         shift, turn = np.array([0.2, -0.1, 0.15]), np.array([0.002, -0.001, 0.003])
         fit = fit_cloud(cloud(moved(theirs, shift, turn)), cloud(ours), CloudFit(), sigma_shared_m=0.0)
+        facts, sigma = fit.facts, np.sqrt(np.diag(fit.cov))
+        assert facts["fitted_shift_m"] == fit.motion.shift_m.tolist()
+        turned = Rotation.from_matrix(fit.motion.R).as_rotvec(degrees=True)
+        assert facts["rotation_deg"] == pytest.approx(turned)
+        assert facts["sigma_shift_m"] == pytest.approx(sigma[:3])
+        assert facts["sigma_rotation_deg"] == pytest.approx(sigma[3:] * 180 / np.pi)
         left = fit.motion.apply(moved(theirs, shift, turn)) - theirs
         middle = left.mean(axis=0)
         squares.append(middle @ np.linalg.solve(fit.cov[:3, :3], middle) / 3)
