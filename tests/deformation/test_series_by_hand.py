@@ -17,6 +17,7 @@ from thalweg.deformation.field import ErrorGroup
 from thalweg.deformation.foreign import SurfaceDifference, clouds, surfaces, write_difference
 from thalweg.deformation.foreign.epochs import place_of_file
 from thalweg.deformation.foreign.surfaces import VOLUMES, volume_table
+from thalweg.deformation.m3c2 import Cylinders
 from thalweg.settings.sections import Deformation
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -214,6 +215,18 @@ def test_a_distance_without_points_of_both_says_what_is_amiss():
         compare.measure_distances(cores, ground, beside, options, towards=UP)
     with pytest.raises(GeometryError, match="for a normal"):
         compare.measure_distances(cores, ground[::60], ground, replace_options(options, 0.1), towards=UP)
+
+
+def test_roughness_of_a_distance_is_that_of_both_means():
+    cores = np.zeros((1, 3))
+    one, two = (
+        Cylinders(np.array([n]), np.array([at]), np.array([std]))
+        for n, at, std in ((9, 0.5, 0.3), (4, 0.8, 0.4))
+    )
+    found = compare.distances_along(cores, np.array([UP]), np.ones(1), one, two)
+    assert found.distance_m == pytest.approx([0.3])
+    assert found.roughness_m == pytest.approx([np.sqrt(0.09 / 9 + 0.16 / 4)])
+    assert found.n.tolist() == [[9, 4]]
 
 
 def replace_options(options, scale):

@@ -162,8 +162,7 @@ def test_numbers_of_cells(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("value", "refused"),
-    [("-9999,5,1", True), ("0,0.5,0", False), ("5,5,0", False), ("5,5,-9999", True)],
+    ("value", "refused"), [("-9999,5,1", True), ("0,0.5,0", False), ("5,5,0", False), ("5,5,-9999", True)]
 )
 def test_what_stands_for_no_place(tmp_path, value, refused):
     path = write(tmp_path, "p.csv", f"id,east_m,north_m,up_m\nA,7,8,9\nB,{value}\n")

@@ -123,11 +123,16 @@ def test_two_modes_that_lie_far_apart_have_their_own_moments():
     assert two.bimodal
     assert (two.shift_mm, two.threshold_dn) == (pytest.approx(1.0), pytest.approx(np.sqrt(4000.0)))
     assert two.by_brightness
+    # one at more than six robust sigmas of all from their median is left out
+    median, nmad = 0.1, 1.4826 * 0.2
+    for far, n in ((5.9, 81), (6.1, 80)):
+        assert distances.bimodality(np.r_[d, median + far * nmad], np.r_[peak, 90.0]).n == n
     assert two.words().startswith(
         "two modes at +0.00 and +1.00 mm, 10.0 sigmas apart; bright points lie +1.000"
     )
     given = distances.bimodality(d, peak, bright=np.arange(80) % 2 == 0)
     assert np.isnan(given.threshold_dn)
+    assert given.bic_gain == pytest.approx(2.0 * 80.0 * (level - one) - 2.0 * np.log(80.0))
     assert (given.shift_mm, given.by_brightness) == (pytest.approx(-0.2), False)
     assert given.words().endswith("from dark ones: not significant")
     with pytest.raises(GeometryError, match="19 distances and 19"):

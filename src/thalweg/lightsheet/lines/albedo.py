@@ -83,7 +83,7 @@ def albedo_edges(piece: ArrayI, peak_dn: ArrayF, rows: ArrayI) -> tuple[ArrayB, 
     change = np.zeros(n + 1)
     change[at] = np.abs(total[at + _SIDE] - 2.0 * total[at] + total[at - _SIDE]) / _SIDE
     whole = np.zeros(n + 1, bool)
-    whole[at] = piece[np.minimum(at + _SIDE, n) - 1] == piece[at - _SIDE]
+    whole[at] = piece[at + _SIDE - 1] == piece[at - _SIDE]
     change[~whole] = 0.0
     # speckle changes the peak of a row too; its mean over the rows of a side is compared with that scatter
     steps = np.abs(log_peak[_APART:] - log_peak[:-_APART])
