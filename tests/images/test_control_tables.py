@@ -462,3 +462,12 @@ def test_names_with_folders_and_in_another_case(tmp_path):
     assert marks.image.tolist() == [0, 1]
     assert marks.point.tolist() == [0, 1]
     assert dropped == {"in images without a pose": 1}
+
+
+@pytest.mark.parametrize(("name", "read"), [("used", True), ("Enabled", True), ("valid", False)])
+def test_marks_that_do_not_count_are_read_or_told(tmp_path, caplog, name, read):
+    """`used` and its like say which marks count; another column that may is told to be unread."""
+    text = f"image,point,x_px,y_px,{name}\na.jpg,p,110.5,220.5,1\nb.jpg,p,130.5,240.5,0\n"
+    found = read_marks(write(tmp_path, "m.csv", text))
+    assert found.used.tolist() == [True, not read]
+    assert ("it is not read" in caplog.text) != read

@@ -613,8 +613,11 @@ def _rows_and_table(path: Path, needed: Sequence[str]) -> tuple[list[dict[str, s
             cure="Write the names of the columns above the numbers",
         )
     rows = named_rows(table)
+    flags = {*NAMES["used"], *NAMES["check"]}
     for note in table.notes:
-        log.warning("%s: %s", path.name, note)
+        marks = re.match(r"column (.+) may mark rows", note)
+        if marks is None or marks[1].lower() not in flags:  # these are read here
+            log.warning("%s: %s", path.name, note)
     return rows, table
 
 

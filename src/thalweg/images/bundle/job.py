@@ -466,8 +466,8 @@ def _joined(poses: Sequence[ImagePoses], lost: Mapping[str, str]) -> tuple[Image
         piece[rows] = k
         for name, values in columns.items():
             values[rows] = getattr(other, name)[rows]
-    rows = np.flatnonzero(piece >= 0)
-    columns["cov_next"][rows[:-1][np.diff(piece[rows]) != 0]] = 0.0
+    found = np.flatnonzero(piece >= 0)
+    columns["cov_next"][found[:-1][np.diff(piece[found]) != 0]] = 0.0
     reasons = tuple(
         "" if k >= 0 else lost.get(name, reason)
         for name, reason, k in zip(base.images, base.reasons, piece, strict=True)
