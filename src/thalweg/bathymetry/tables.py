@@ -742,7 +742,7 @@ def _between(parts: list[tuple[ArrayF, str | None]], path: Path, height_m: tuple
     middle = ((a + near_b) / 2 + resampled((b + near_a) / 2, len(a))) / 2
     length = np.linalg.norm(np.diff(middle, axis=0), axis=1).sum()
     k = int(np.clip(length / max(width, 1e-6), 8, 200))
-    even = resampled(middle, 8 * k + 1)
+    even = resampled(middle, 8 * k)
     smooth = gaussian_filter1d(even, 4, axis=0, mode="nearest")
     smooth[[0, -1]] = even[[0, -1]]
     places = smooth[:: 8 if k > 8 else 4]
