@@ -68,12 +68,15 @@ def _anchored(campaign: Campaign | None, path: Path) -> Campaign | None:
         return None
 
     def absolute(text: object) -> object:
+        """A path from the folder of the campaign file; what is no text stays."""
         return str(anchor(text, path.parent)) if isinstance(text, str) else text
 
     def named(text: object) -> object:
+        """The same for a calibration that is named by a file; the id of a campaign stays."""
         return absolute(text) if isinstance(text, str) and is_calibration_path(text) else text
 
     def each(epochs: list[Epoch]) -> list[Epoch]:
+        """The same for the files of all epochs."""
         return [_anchored_epoch(epoch, path.parent) for epoch in epochs]
 
     campaign = _changed(campaign, named, "mounts", "calibration")

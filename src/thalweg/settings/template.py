@@ -113,6 +113,7 @@ def _written(name: str, schema: str, *, logs: Mapping[str, Sequence[str]] | None
     listed = logs or {}
 
     def files(key: str, stream: str, meaning: str, indent: int = 2, *, one: bool = False) -> str:
+        """The lines of a key with the files of a stream, or how to write them where there are none."""
         paths = [_quoted(path) for path in listed.get(stream, [])]
         if one and len(paths) > 1:
             meaning = f"{meaning}; CHANGE: keep one of {len(paths)}"
